@@ -1,0 +1,1 @@
+"""Learn to uncover a target in a heap."""

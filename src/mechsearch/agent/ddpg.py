@@ -1,0 +1,278 @@
+"""Deterministic policy gradient with a Bayesian, asymmetric critic (paper, III-C; AC-Teach)."""
+
+import copy
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from mechsearch.agent.networks import Actor, Critic, NetworkConfig, Shapes, Tensors
+from mechsearch.agent.replay import Batch, Replay
+from mechsearch.agent.symmetry import SYMMETRIES, transform
+from mechsearch.agent.weights import fill, fill_optimizer, optimizer_tensors, part, prefixed
+from mechsearch.types import Array, Floats, MechSearchError, Observation, select
+
+Metrics = dict[str, float]
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """What the updates need; the paper leaves all of it open.
+
+    Attributes:
+        actor_rate: Learning rate of the actor (AC-Teach: 1e-4).
+        critic_rate: Learning rate of the critic (AC-Teach: 1e-3).
+        gamma: Discount of one action.
+        tau: Share of the network that enters its target at each update.
+        batch: Transitions an update.
+        horizon: Actions whose rewards are summed before the critic is asked (n-step returns).
+        reward_scale: What multiplies rewards before the critic sees them.
+        dropout: Share of the critic's hidden units dropped; 0 makes it an ordinary critic.
+        samples: Dropout copies of the critic (AC-Teach: 50).
+        alpha: Of the alpha-divergence loss (AC-Teach: 0.5).
+        precision: Of an observed return in that loss, AC-Teach's tau, in scaled units.
+        saturation_penalty: Weight of the mean square of the actor's output before the tanh.
+        normalise_value: Divide the actor's loss by the mean |Q|, so that scales do not matter.
+        max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
+        symmetry: Turn and mirror every sample at random (overhead camera only).
+        network: Sizes of the networks.
+    """
+
+    actor_rate: float = 3e-4
+    critic_rate: float = 1e-3
+    gamma: float = 0.99
+    tau: float = 0.005
+    batch: int = 64
+    horizon: int = 1
+    reward_scale: float = 0.1
+    dropout: float = 0.1
+    samples: int = 50
+    alpha: float = 0.5
+    precision: float = 10.0
+    saturation_penalty: float = 0.003
+    normalise_value: bool = True
+    max_gradient: float = 10.0
+    symmetry: bool = False
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("actor_rate", "critic_rate", "alpha", "precision", "reward_scale"):
+            if not getattr(self, name) > 0:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected more than 0")
+        for name in ("batch", "horizon", "samples"):
+            if getattr(self, name) < 1:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
+        for name in ("gamma", "tau"):
+            if not 0 < getattr(self, name) <= 1:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected (0, 1]")
+        if not 0 <= self.dropout < 1:
+            raise MechSearchError(f"dropout is {self.dropout}; expected a share in [0, 1)")
+
+
+@dataclass(frozen=True)
+class TensorBatch:
+    """A batch as tensors, rewards scaled; fields as in `Batch`."""
+
+    obs: Tensors
+    action: Tensor
+    reward: Tensor
+    discount: Tensor
+    next_obs: Tensors
+
+
+def alpha_divergence(errors: Tensor, alpha: float, precision: float) -> Tensor:
+    """Return AC-Teach's critic loss, averaged over the batch.
+
+    Args:
+        errors: Target minus Q (K, B) under K dropout samples.
+        alpha: Near 0 it is the mean squared error; larger, the best sample counts more.
+        precision: Of an observed return.
+
+    The mean over samples replaces their sum, which shifts the loss by a constant.
+    """
+    exponent = -0.5 * alpha * precision * errors.square()
+    evidence = torch.logsumexp(exponent, dim=0) - np.log(len(errors))
+    loss: Tensor = -evidence.mean() / alpha
+    return loss
+
+
+class Learner:
+    """Actor, critic and their targets, and the updates that improve them."""
+
+    def __init__(
+        self, actor_shapes: Shapes, critic_shapes: Shapes, config: LearnerConfig, seed: int
+    ) -> None:
+        """Build the networks; torch's own seed decides their first weights.
+
+        Args:
+            actor_shapes: Shape of every observation that the actor reads.
+            critic_shapes: Likewise for the critic.
+            config: Hyper-parameters.
+            seed: Of the dropout masks.
+        """
+        self.config = config
+        self.actor = Actor(actor_shapes, config.network)
+        self.critic = Critic(critic_shapes, config.network, config.dropout)
+        self.actor_target = copy.deepcopy(self.actor).requires_grad_(False)
+        self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
+        self.actor_optimizer = _adam(self.actor, config.actor_rate)
+        self.critic_optimizer = _adam(self.critic, config.critic_rate)
+        self.generator = torch.Generator().manual_seed(seed)
+
+    @torch.no_grad()
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the actor's action (3,) for one observation, without noise."""
+        with _float32(self.actor):
+            action: NDArray[np.float32] = self.actor(_single(obs, self.actor.keys))[0].numpy()
+        return action
+
+    @torch.no_grad()
+    def q_samples(self, obs: Observation, actions: NDArray[np.float32]) -> Floats:
+        """Return samples (S, M) of the Q of M actions (M, 3) in one observation.
+
+        One row is one draw of the critic that scores all actions, in units of the reward.
+        """
+        count = len(actions)
+        with _float32(self.critic):
+            features = self.critic.encode(_single(obs, tuple(self.critic.shapes)))
+            features = features.expand(count, -1)
+            q = self.critic.value(features, torch.as_tensor(actions), self._masks(1))
+        samples: Floats = q.reshape(-1, count).double().numpy() / self.config.reward_scale
+        return samples
+
+    def _masks(self, batch: int) -> list[Tensor]:
+        if not self.config.dropout:
+            return []
+        return self.critic.draw_masks(self.config.samples, batch, self.generator)
+
+    def update(self, replay: Replay, rng: np.random.Generator) -> Metrics:
+        """Draw one batch and improve critic, actor and targets with it."""
+        batch = self._tensors(replay.sample(self.config.batch, rng, self.config.horizon))
+        metrics = {**self.update_critic(batch), **self.update_actor(batch)}
+        self.update_target()
+        return metrics
+
+    def _tensors(self, batch: Batch) -> TensorBatch:
+        now = {**_tensors(batch.obs), "action": torch.as_tensor(batch.action)}
+        after = _tensors(batch.next_obs)
+        if self.config.symmetry:
+            which = torch.randint(len(SYMMETRIES), (len(batch.reward),), generator=self.generator)
+            now, after = transform(now, which), transform(after, which)
+        reward = torch.as_tensor(batch.reward) * self.config.reward_scale
+        return TensorBatch(now, now.pop("action"), reward, torch.as_tensor(batch.discount), after)
+
+    def bellman_target(self, batch: TensorBatch) -> Tensor:
+        """Return r + discount * Q'(s', actor'(s')) (B,), with the target networks."""
+        with torch.no_grad():
+            action = self.actor_target(batch.next_obs)
+            value: Tensor = self.critic_target(batch.next_obs, action)
+            return batch.reward + batch.discount * value
+
+    def update_critic(self, batch: TensorBatch) -> Metrics:
+        """Take one step towards the Bellman target; return losses and Q."""
+        target = self.bellman_target(batch)
+        q = self.critic(batch.obs, batch.action, self._masks(len(target)))
+        errors = target - q
+        if self.config.dropout:
+            loss = alpha_divergence(errors, self.config.alpha, self.config.precision)
+        else:
+            loss = errors.square().mean()
+        length = self._step(self.critic_optimizer, self.critic, loss)
+        return {
+            "critic_loss": loss.item(),
+            "critic_gradient": length,
+            "bellman_error": errors.abs().mean().item() / self.config.reward_scale,
+            "q": q.mean().item() / self.config.reward_scale,
+        }
+
+    def update_actor(self, batch: TensorBatch) -> Metrics:
+        """Take one step towards actions of higher Q; return the loss and how saturated it is."""
+        output = self.actor.pre_tanh(batch.obs)
+        action = torch.tanh(output)
+        with torch.no_grad():
+            features = self.critic.encode(batch.obs)
+        # The critic only passes the gradient on: its own would cost a third of the time.
+        self.critic.requires_grad_(False)
+        q = self.critic.value(features, action, self._masks(len(action)))
+        self.critic.requires_grad_(True)
+        scale = q.detach().abs().mean() if self.config.normalise_value else 1.0
+        penalty = output.square().mean()
+        loss = -q.mean() / (scale + 1e-6) + self.config.saturation_penalty * penalty
+        length = self._step(self.actor_optimizer, self.actor, loss)
+        return {
+            "actor_loss": loss.item(),
+            "actor_gradient": length,
+            "pre_tanh": output.detach().abs().mean().item(),
+            "saturated": (action.detach().abs() > 0.99).float().mean().item(),
+        }
+
+    def _step(self, optimizer: torch.optim.Optimizer, network: nn.Module, loss: Tensor) -> float:
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        limit = self.config.max_gradient or float("inf")
+        length = nn.utils.clip_grad_norm_(network.parameters(), limit)
+        optimizer.step()
+        return float(length)
+
+    @torch.no_grad()
+    def update_target(self) -> None:
+        """Move both target networks a share tau towards their networks."""
+        pairs = ((self.actor, self.actor_target), (self.critic, self.critic_target))
+        for network, target in pairs:
+            torch._foreach_lerp_(
+                list(target.parameters()), list(network.parameters()), self.config.tau
+            )
+
+    def state(self) -> dict[str, Tensor]:
+        """Return all that a resume needs, by name."""
+        state = {"generator": self.generator.get_state()}
+        for name, network in self._networks().items():
+            state |= prefixed(name, network.state_dict())
+        for name, optimizer in self._optimizers().items():
+            state |= prefixed(name, optimizer_tensors(optimizer))
+        return state
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Take back what `state` returned.
+
+        Raises:
+            MechSearchError: If it is of other networks.
+        """
+        for name, network in self._networks().items():
+            fill(network, part(state, name))
+        for name, optimizer in self._optimizers().items():
+            fill_optimizer(optimizer, part(state, name))
+        self.generator.set_state(state["generator"])
+
+    def _networks(self) -> dict[str, nn.Module]:
+        names = ("actor", "critic", "actor_target", "critic_target")
+        return {name: getattr(self, name) for name in names}
+
+    def _optimizers(self) -> dict[str, Any]:
+        return {n: getattr(self, n) for n in ("actor_optimizer", "critic_optimizer")}
+
+
+def _adam(network: nn.Module, rate: float) -> torch.optim.Optimizer:
+    return torch.optim.Adam(network.parameters(), rate, fused=True)
+
+
+@contextmanager
+def _float32(network: nn.Module) -> Iterator[None]:
+    network.eval()
+    try:
+        yield
+    finally:
+        network.train()
+
+
+def _tensors(arrays: Mapping[str, Array]) -> dict[str, Tensor]:
+    return {key: torch.as_tensor(value) for key, value in arrays.items()}
+
+
+def _single(obs: Observation, keys: tuple[str, ...]) -> dict[str, Tensor]:
+    return {key: torch.as_tensor(value)[None] for key, value in select(obs, keys).items()}

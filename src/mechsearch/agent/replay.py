@@ -1,0 +1,181 @@
+"""Replay that stores every frame once: a transition is a row, its next observation the next row."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from mechsearch.types import Array, MechSearchError, Observation
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions drawn from the replay.
+
+    Attributes:
+        obs: Observations by key, (B, *shape), as stored.
+        action: Executed actions (B, 3) in [-1, 1].
+        reward: Sum of the discounted rewards until `next_obs` (B,).
+        discount: What multiplies the value of `next_obs` (B,): 0 after a termination.
+        next_obs: Observations n actions later, or where the episode stopped before.
+    """
+
+    obs: dict[str, Array]
+    action: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    discount: NDArray[np.float32]
+    next_obs: dict[str, Array]
+
+
+class Replay:
+    """A ring of rows in time order. An episode of n actions takes n + 1 rows.
+
+    A row holds an observation and, unless it is the last of its episode, the transition that
+    begins there. A transition can be drawn as soon as its next row is written.
+    """
+
+    def __init__(
+        self,
+        shapes: Mapping[str, tuple[int, ...]],
+        dtypes: Mapping[str, DTypeLike],
+        capacity: int,
+    ) -> None:
+        """Reserve the rows.
+
+        Raises:
+            MechSearchError: If they do not fit into the machine's memory.
+        """
+        if capacity < 2:
+            raise MechSearchError(f"a replay of {capacity} rows; expected at least 2")
+        row = sum(int(np.prod(shapes[key])) * np.dtype(dtypes[key]).itemsize for key in shapes)
+        require_memory(row * capacity, f"a replay of {capacity} rows")
+        self.capacity = capacity
+        self.obs = {k: np.zeros((capacity, *shapes[k]), dtypes[k]) for k in shapes}
+        self.action = np.zeros((capacity, 3), np.float32)
+        self.reward = np.zeros(capacity, np.float32)
+        self.discount = np.zeros(capacity, np.float32)
+        self.complete = np.zeros(capacity, bool)
+        self._cursor = 0
+        self._pending = -1
+
+    def __len__(self) -> int:
+        """Number of transitions that can be drawn."""
+        return int(self.complete.sum())
+
+    def add(
+        self, obs: Observation, action: NDArray[np.float32], reward: float, discount: float
+    ) -> None:
+        """Store a transition; the next call of `add` or `end` stores where it led.
+
+        Args:
+            obs: Where it began.
+            action: What was executed (3,), in [-1, 1].
+            reward: What it earned.
+            discount: 0 if the episode terminated, else the discount factor.
+        """
+        row = self._write(obs)
+        self.action[row], self.reward[row], self.discount[row] = action, reward, discount
+        self._pending = row
+
+    def end(self, obs: Observation) -> None:
+        """Store the last observation of an episode, terminated or truncated."""
+        self._write(obs)
+        self._pending = -1
+
+    def _write(self, obs: Observation) -> int:
+        row = self._cursor
+        if self._pending >= 0:
+            self.complete[self._pending] = True
+        self.complete[row] = False
+        for key, store in self.obs.items():
+            store[row] = obs[key]
+        self._cursor = (row + 1) % self.capacity
+        return row
+
+    def sample(self, size: int, rng: np.random.Generator, horizon: int = 1) -> Batch:
+        """Draw transitions uniformly, with replacement.
+
+        Args:
+            size: Number of transitions B.
+            rng: Source of randomness.
+            horizon: Actions whose rewards are summed (n-step returns).
+
+        Raises:
+            MechSearchError: If there is nothing to draw from.
+        """
+        rows = np.flatnonzero(self.complete)
+        if not len(rows):
+            raise MechSearchError("the replay holds no complete transition yet")
+        start = rng.choice(rows, size)
+        reward, discount, last = self._look_ahead(start, horizon)
+        return Batch(
+            {key: store[start] for key, store in self.obs.items()},
+            self.action[start],
+            reward,
+            discount,
+            {key: store[last] for key, store in self.obs.items()},
+        )
+
+    def _look_ahead(self, start: Array, horizon: int) -> tuple[Array, Array, Array]:
+        reward, discount = np.zeros(len(start), np.float32), np.ones(len(start), np.float32)
+        row = start
+        for _ in range(horizon):
+            goes_on = self.complete[row]
+            reward = reward + np.where(goes_on, discount * self.reward[row], 0)
+            discount = np.where(goes_on, discount * self.discount[row], discount)
+            row = np.where(goes_on, (row + 1) % self.capacity, row)
+        return reward.astype(np.float32), discount.astype(np.float32), row
+
+    def state(self) -> dict[str, Array]:
+        """Return all that is stored, for a checkpoint; arrays are views."""
+        used = self.capacity if self.complete[self._cursor :].any() else self._cursor
+        stored = {f"obs.{key}": store[:used] for key, store in self.obs.items()}
+        for name in _NAMES:
+            stored[name] = getattr(self, name)[:used]
+        return {**stored, "place": np.array([self._cursor, self._pending])}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Take back what `state` returned.
+
+        Raises:
+            MechSearchError: If it was stored with other observations or more rows.
+        """
+        expected = {f"obs.{key}" for key in self.obs} | set(_NAMES) | {"place"}
+        if set(state) != expected:
+            raise MechSearchError(
+                f"the stored replay has {', '.join(sorted(state))}; "
+                f"expected {', '.join(sorted(expected))}"
+            )
+        targets = {f"obs.{key}": store for key, store in self.obs.items()}
+        targets |= {name: getattr(self, name) for name in _NAMES}
+        for name, target in targets.items():
+            stored = state[name]
+            if stored.shape[1:] != target.shape[1:] or len(stored) > self.capacity:
+                raise MechSearchError(
+                    f"the stored replay's {name} is {stored.shape}; expected at most {target.shape}"
+                )
+            target[: len(stored)] = stored
+        self._cursor, self._pending = (int(value) for value in state["place"])
+
+
+_NAMES = ("action", "reward", "discount", "complete")
+
+
+def require_memory(size: int, purpose: str) -> None:
+    """Refuse what cannot fit.
+
+    Args:
+        size: Needed [bytes].
+        purpose: What for.
+
+    Raises:
+        MechSearchError: If the machine has less free memory.
+    """
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if size > free:
+        raise MechSearchError(
+            f"{purpose} needs {size / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free; "
+            "expected fewer rows or smaller images"
+        )

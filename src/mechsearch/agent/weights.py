@@ -1,0 +1,138 @@
+"""Tensors in safetensors files: networks, optimisers and what belongs with them. Never a pickle."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.optim import Optimizer
+
+from mechsearch.runs import write_whole
+from mechsearch.types import MechSearchError
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Archive:
+    """Tensors with a purpose.
+
+    Attributes:
+        kind: What the file is, such as "mechsearch actor".
+        tensors: By name.
+        meta: Whatever JSON holds.
+    """
+
+    kind: str
+    tensors: Mapping[str, Tensor]
+    meta: Mapping[str, Any]
+
+    def part(self, prefix: str) -> dict[str, Tensor]:
+        """Return the tensors whose names begin with `prefix` and a slash, without it."""
+        return part(self.tensors, prefix)
+
+    def fill(self, module: nn.Module) -> None:
+        """Load all tensors into a module; see `fill`."""
+        fill(module, self.tensors)
+
+
+def prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors under names that `part` finds again."""
+    return {f"{prefix}/{name}": tensor for name, tensor in tensors.items()}
+
+
+def part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the tensors that `prefixed` named so, under their own names."""
+    head = prefix + "/"
+    return {k.removeprefix(head): v for k, v in tensors.items() if k.startswith(head)}
+
+
+def fill(module: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    """Load a module's weights.
+
+    Raises:
+        MechSearchError: If a tensor is missing, surplus or of another shape.
+    """
+    own = module.state_dict()
+    if set(own) != set(tensors):
+        differing = ", ".join(sorted(set(own) ^ set(tensors)))
+        raise MechSearchError(f"the file's weights are of another network: {differing}")
+    for name, tensor in tensors.items():
+        if tensor.shape != own[name].shape:
+            raise MechSearchError(
+                f"weight {name!r} is {tuple(tensor.shape)}; expected {tuple(own[name].shape)}"
+            )
+    module.load_state_dict(dict(tensors))
+
+
+def optimizer_tensors(optimizer: Optimizer) -> dict[str, Tensor]:
+    """Return an optimiser's moments and step counts, by parameter and name."""
+    states: Mapping[int, Mapping[str, Tensor]] = optimizer.state_dict()["state"]
+    return {f"{i}/{name}": value for i, state in states.items() for name, value in state.items()}
+
+
+def fill_optimizer(optimizer: Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Take back what `optimizer_tensors` returned; learning rates stay the optimiser's own."""
+    states: dict[int, dict[str, Tensor]] = {}
+    for path, tensor in tensors.items():
+        index, name = path.split("/")
+        states.setdefault(int(index), {})[name] = tensor
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": states, "param_groups": groups})
+
+
+def save_archive(path: Path, archive: Archive) -> None:
+    """Write an archive with checksums, whole or not at all."""
+    tensors = {name: tensor.contiguous() for name, tensor in archive.tensors.items()}
+    checks = {name: _checksum(tensor) for name, tensor in tensors.items()}
+    text = json.dumps({"kind": archive.kind, "format": FORMAT, "checks": checks, **archive.meta})
+    header = {"meta": text, "check": str(crc32(text.encode()))}
+    write_whole(path, lambda partial: save_file(tensors, partial, header))
+
+
+def load_archive(path: Path, kind: str) -> Archive:
+    """Read an archive.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or of another kind or format.
+    """
+    if not path.is_file():
+        raise MechSearchError(f"no {kind} at {path}")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            names = list(file.keys())
+            tensors = {name: file.get_tensor(name) for name in names}
+    except (SafetensorError, ValueError, OSError) as error:
+        raise MechSearchError(f"the {kind} at {path} is damaged: {error}") from None
+    meta = _verified(header, tensors, f"the {kind} at {path}")
+    found = (meta.pop("kind"), meta.pop("format"))
+    if found != (kind, FORMAT):
+        raise MechSearchError(
+            f"{path} holds a {found[0]} of format {found[1]}; expected a {kind} of format {FORMAT}"
+        )
+    return Archive(kind, tensors, meta)
+
+
+def _checksum(tensor: Tensor) -> int:
+    return crc32(tensor.detach().reshape(-1).view(torch.uint8).numpy().data)
+
+
+def _verified(
+    header: Mapping[str, str], tensors: Mapping[str, Tensor], what: str
+) -> dict[str, Any]:
+    text = header.get("meta", "")
+    if header.get("check") != str(crc32(text.encode())):
+        raise MechSearchError(f"{what} is damaged, or was not written by mechsearch: its header")
+    meta: dict[str, Any] = json.loads(text)
+    checks = meta.pop("checks")
+    for name, tensor in tensors.items():
+        if checks.get(name) != _checksum(tensor):
+            raise MechSearchError(f"{what} is damaged: {name!r} has another checksum")
+    return meta

@@ -1,0 +1,134 @@
+"""A pinhole camera as data: project points, back-project pixels.
+
+The camera frame is x right, y down, z forward. Pixel (row 0, column 0) has its centre at (0, 0),
+and depth is measured along z, not along the ray.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mechsearch.geometry import apply, invert
+from mechsearch.types import Floats, MechSearchError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics [px] and pose of a pinhole camera.
+
+    Attributes:
+        width: Image width [px].
+        height: Image height [px].
+        fx: Focal length along columns [px].
+        fy: Focal length along rows [px].
+        cx: Principal point, column [px].
+        cy: Principal point, row [px].
+        world_from_camera: Rigid transform, row by row, 16 numbers.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
+            raise MechSearchError(
+                f"a camera needs a positive size and focal length, not {self.width} x "
+                f"{self.height} px with fx {self.fx}, fy {self.fy}"
+            )
+        if len(self.world_from_camera) != 16:
+            raise MechSearchError(
+                f"world_from_camera has {len(self.world_from_camera)} numbers; expected 16 (4 x 4)"
+            )
+
+    @property
+    def pose(self) -> Floats:
+        """The transform (4, 4) from camera to world coordinates."""
+        return np.array(self.world_from_camera).reshape(4, 4)
+
+    def project(self, points: ArrayLike) -> Floats:
+        """Return (column, row, depth) (..., 3) [px, px, m] of points in the world (..., 3)."""
+        local = apply(invert(self.pose), points)
+        z = local[..., 2]
+        return np.stack(
+            [self.fx * local[..., 0] / z + self.cx, self.fy * local[..., 1] / z + self.cy, z], -1
+        )
+
+    def back_project(self, depth: ArrayLike) -> Floats:
+        """Return the world point (H, W, 3) [m] that each pixel of a depth image (H, W) shows."""
+        z = np.asarray(depth, dtype=np.float64)
+        if z.shape != (self.height, self.width):
+            raise MechSearchError(
+                f"the depth image is {z.shape}; this camera's is {(self.height, self.width)}"
+            )
+        return apply(self.pose, self.directions() * z[..., None])
+
+    def directions(self) -> Floats:
+        """Return each pixel's ray (H, W, 3) in the camera frame, scaled so that z is 1."""
+        columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return np.stack(
+            [
+                (columns - self.cx) / self.fx,
+                (rows - self.cy) / self.fy,
+                np.ones((self.height, self.width)),
+            ],
+            -1,
+        )
+
+    def resized(self, size: int) -> "Camera":
+        """Return the same view on an image whose height is `size` [px]."""
+        scale = size / self.height
+        return Camera(
+            round(self.width * scale),
+            size,
+            self.fx * scale,
+            self.fy * scale,
+            (self.cx + 0.5) * scale - 0.5,
+            (self.cy + 0.5) * scale - 0.5,
+            self.world_from_camera,
+        )
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> tuple[float, ...]:
+    """Return world_from_camera (16 numbers) of a camera at `eye` [m] that looks at `target`."""
+    position = np.asarray(eye, dtype=np.float64)
+    forward = np.asarray(target, dtype=np.float64) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    matrix[:3, 3] = position
+    return tuple(float(value) for value in matrix.ravel())
+
+
+def _preset(eye: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:
+    size, focal = 64, 92.0
+    centre = (size - 1) / 2
+    return Camera(size, size, focal, focal, centre, centre, look_at(eye, (0, 0, 0), up))
+
+
+PRESETS = {
+    "overhead": _preset((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "tilted": _preset((0.0, -0.7, 0.75), (0.0, 0.0, 1.0)),
+}
+"""Views of the workspace: `overhead` looks straight down, image columns along x and rows along -y;
+`tilted` looks down at about 47 degrees from the -y side."""
+
+
+def preset(name: str, size: int = 64) -> Camera:
+    """Return a named view with square images of `size` [px].
+
+    Raises:
+        MechSearchError: If there is no such view.
+    """
+    if name not in PRESETS:
+        raise MechSearchError(f"unknown camera {name!r}; choose one of {', '.join(PRESETS)}")
+    if size < 8:
+        raise MechSearchError(f"image size {size} px is too small; expected at least 8")
+    return PRESETS[name].resized(size)

@@ -1,0 +1,1 @@
+"""Scores any policy on any heap set, without PyTorch."""

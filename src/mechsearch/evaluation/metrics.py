@@ -1,0 +1,159 @@
+"""Scores of recorded episodes, with 95 % confidence intervals over heaps.
+
+The heap is the unit of sampling: every episode counts once, lost targets and failed simulations
+included. Means have Student's t intervals; the share uncovered has a Wilson score interval, which
+stays inside [0, 1] and does not shrink to a point when all episodes end alike.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from mechsearch.evaluation.episodes import EpisodeRecord
+from mechsearch.types import MechSearchError
+
+METRICS = (
+    "reward",
+    "visibility_change",
+    "uncovered_rate",
+    "episode_actions",
+    "clutter_moved_m",
+    "target_moved_m",
+)
+"""The scores of an evaluation; each reward term follows them as `term_<name>`."""
+
+HIGHER_IS_BETTER = {
+    "reward": True,
+    "visibility_change": True,
+    "uncovered_rate": True,
+    "episode_actions": False,
+    "clutter_moved_m": False,
+    "target_moved_m": False,
+}
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over heaps and its confidence interval; the interval is NaN for a single heap."""
+
+    mean: float
+    ci_low: float
+    ci_high: float
+    heaps: int
+
+
+def measure(record: EpisodeRecord) -> dict[str, float]:
+    """Return the metrics of one episode.
+
+    Returns:
+        `reward` (sum over the episode), `visibility_change` (start minus end occlusion),
+        `uncovered_rate` (1 or 0), `episode_actions` (the limit unless uncovered),
+        `clutter_moved_m` (path length of a non-target object, averaged over them) [m],
+        `target_moved_m` (path length of the target) [m], and `term_<name>` for each reward term.
+
+    Raises:
+        MechSearchError: If a value is not finite, since it could not stay in a mean.
+    """
+    values = {
+        "reward": record.rewards.sum(),
+        "visibility_change": record.occlusions[0] - record.occlusions[-1],
+        "uncovered_rate": record.uncovered,
+        "episode_actions": len(record.actions) if record.uncovered else record.action_limit,
+        "clutter_moved_m": record.clutter_moved.sum(),
+        "target_moved_m": record.target_moved.sum(),
+    }
+    values |= {f"term_{name}": term.sum() for name, term in record.reward_terms.items()}
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise MechSearchError(
+                f"{name} of {record.policy} on heap {record.heap_seed} is {value}; "
+                "expected a finite number"
+            )
+    return {name: float(value) for name, value in values.items()}
+
+
+def mean_interval(values: ArrayLike) -> Estimate:
+    """Return the mean of values (n,) with Student's t interval."""
+    x = _checked(values)
+    mean, n = float(x.mean()), len(x)
+    if n == 1:
+        return Estimate(mean, float("nan"), float("nan"), 1)
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * x.std(ddof=1) / np.sqrt(n))
+    return Estimate(mean, mean - half, mean + half, n)
+
+
+def share_interval(outcomes: ArrayLike) -> Estimate:
+    """Return the share of outcomes (n,), each 0 or 1, with Wilson's score interval."""
+    x = _checked(outcomes)
+    share, n = float(x.mean()), len(x)
+    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2) / (1 + z**2 / n)
+    # Rounding may put an end past the share itself where all outcomes are alike.
+    low, high = min(share, float(centre - half)), max(share, float(centre + half))
+    return Estimate(share, max(0.0, low), min(1.0, high), n)
+
+
+def score(records: Iterable[EpisodeRecord]) -> dict[str, Estimate]:
+    """Return every metric over all the episodes.
+
+    Raises:
+        MechSearchError: If there are none.
+    """
+    measured = [measure(record) for record in records]
+    if not measured:
+        raise MechSearchError("there is no episode to score; expected at least one")
+    return {
+        name: (share_interval if name == "uncovered_rate" else mean_interval)(
+            [values[name] for values in measured]
+        )
+        for name in measured[0]
+    }
+
+
+def score_by_count(records: Sequence[EpisodeRecord]) -> dict[int, dict[str, Estimate]]:
+    """Return every metric by the number of objects in the heap, fewest first."""
+    counts = sorted({record.count for record in records})
+    return {count: score(r for r in records if r.count == count) for count in counts}
+
+
+def paired_difference(
+    ours: Sequence[EpisodeRecord], theirs: Sequence[EpisodeRecord], metric: str
+) -> Estimate:
+    """Return the mean of ours minus theirs, heap by heap, with Student's t interval.
+
+    Raises:
+        MechSearchError: If the two were not run on the same heaps, or there is no such metric.
+    """
+    left, right = _by_heap(ours), _by_heap(theirs)
+    if left.keys() != right.keys():
+        raise MechSearchError(
+            f"the two policies ran on {len(left)} and {len(right)} heaps, of which "
+            f"{len(left.keys() & right.keys())} are shared; a paired difference needs the same"
+        )
+    known = next(iter(left.values()), {})
+    if metric not in known:
+        raise MechSearchError(f"unknown metric {metric!r}; choose one of {', '.join(known)}")
+    return mean_interval([left[heap][metric] - right[heap][metric] for heap in left])
+
+
+def _by_heap(records: Sequence[EpisodeRecord]) -> dict[tuple[str, int], dict[str, float]]:
+    measured = {(r.condition, r.heap_seed): measure(r) for r in records}
+    if len(measured) != len(records):
+        raise MechSearchError(
+            f"{len(records)} episodes cover {len(measured)} heaps; "
+            "a paired difference needs one episode on each"
+        )
+    return measured
+
+
+def _checked(values: ArrayLike) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    x = np.asarray(values, dtype=np.float64).reshape(-1)
+    if not len(x):
+        raise MechSearchError("there is nothing to average; expected at least one value")
+    return x

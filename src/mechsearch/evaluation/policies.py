@@ -1,0 +1,112 @@
+"""Policies by name: baselines, teachers, trained actors and users' own."""
+
+import importlib
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.teachers import make_teachers
+from mechsearch.types import MechSearchError, Observation, Policy
+
+TRAINED_LOADER = "mechsearch.agent.policy:load_actor"
+"""Function that turns a run directory or checkpoint into a policy; needs the `learn` extra."""
+
+
+class RandomPolicy:
+    """Commands drawn uniformly from the action box.
+
+    The environment projects each on the ball of 5 cm, so the longest push is the likeliest: the
+    ball fills about half of the box.
+    """
+
+    keys: tuple[str, ...] = ("ee_position",)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Draw the coming actions from `rng`."""
+        self._rng = rng
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return a command (3,) uniform in [-1, 1] along each axis."""
+        return self._rng.uniform(-1, 1, 3).astype(np.float32)
+
+
+class IdlePolicy:
+    """Never moves."""
+
+    keys: tuple[str, ...] = ("ee_position",)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a new episode; there is nothing to draw."""
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the command (3,) that stays in place."""
+        return np.zeros(3, np.float32)
+
+
+def policy_names() -> tuple[str, ...]:
+    """Return the names of the built-in policies."""
+    return ("random", "idle", *(f"teacher-{name}" for name in make_teachers()))
+
+
+def make_policy(spec: str) -> Policy:
+    """Return the policy that a text names.
+
+    Args:
+        spec: "random", "idle", "teacher-straight", "teacher-zigzag" or "teacher-spiral"; a run
+            directory or a checkpoint (.safetensors); or `package.module:factory`, a function
+            without arguments, or a class, that returns a `mechsearch.types.Policy`.
+
+    Raises:
+        MechSearchError: If there is no such policy, or it cannot be made.
+    """
+    if spec == "random":
+        return RandomPolicy()
+    if spec == "idle":
+        return IdlePolicy()
+    teachers = make_teachers()
+    if spec.removeprefix("teacher-") in teachers and spec.startswith("teacher-"):
+        return teachers[spec.removeprefix("teacher-")]
+    if Path(spec).is_dir() or spec.endswith(".safetensors"):
+        return _trained(Path(spec))
+    module, colon, name = spec.partition(":")
+    if colon and all(part.isidentifier() for part in (*module.split("."), name)):
+        return _checked(_found(spec)(), spec)
+    raise MechSearchError(
+        f"unknown policy {spec!r}; choose one of {', '.join(policy_names())}, a run directory, "
+        "a checkpoint (.safetensors), or package.module:factory"
+    )
+
+
+def _trained(path: Path) -> Policy:
+    if not path.exists():
+        raise MechSearchError(f"no checkpoint at {path}")
+    if importlib.util.find_spec("torch") is None:
+        raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
+    return _checked(_found(TRAINED_LOADER)(path), str(path))
+
+
+def _found(spec: str) -> Any:
+    """Return the function or class that `package.module:name` names."""
+    module_name, _, name = spec.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise MechSearchError(f"policy {spec!r} cannot be imported: {error}") from None
+    if not callable(getattr(module, name, None)):
+        public = [key for key, value in vars(module).items() if callable(value)]
+        names = ", ".join(key for key in sorted(public) if not key.startswith("_")) or "none"
+        raise MechSearchError(f"{module_name} has no function or class {name!r}; it has {names}")
+    return getattr(module, name)
+
+
+def _checked(policy: object, spec: str) -> Policy:
+    if not isinstance(policy, Policy):
+        missing = [name for name in ("keys", "reset", "act") if not hasattr(policy, name)]
+        raise MechSearchError(
+            f"policy {spec!r} gives a {type(policy).__name__} without {', '.join(missing)}; "
+            "a policy has keys, reset(rng) and act(obs)"
+        )
+    return policy

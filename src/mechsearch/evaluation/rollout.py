@@ -1,0 +1,201 @@
+"""Runs a policy on heaps and records every episode."""
+
+from collections.abc import Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.evaluation.policies import make_policy
+from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.types import MechSearchError, Policy, select
+
+SPLITS = ("held-out", "train", "all")
+
+
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """One policy on the heaps of one file; all that a worker process needs to know.
+
+    Attributes:
+        policy: Text for `make_policy`.
+        heaps: File of the heap set.
+        name: Under which the policy is reported; empty takes `policy`.
+        objects: Object set; empty takes the one that the heap set names.
+        split: "held-out", "train" or "all" heaps.
+        limit: Number of heaps, spread evenly over the split; 0 takes all.
+        seed: Of the policy's own randomness; starts depend on the heap alone.
+        env: The task. Its keys are replaced by those that the policy reads.
+    """
+
+    policy: str
+    heaps: Path
+    name: str = ""
+    objects: str = ""
+    split: str = "held-out"
+    limit: int = 0
+    seed: int = 0
+    env: HeapEnvConfig = field(default_factory=HeapEnvConfig)
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise MechSearchError(
+                f"unknown split {self.split!r}; choose one of {', '.join(SPLITS)}"
+            )
+        if self.limit < 0 or self.seed < 0:
+            raise MechSearchError(
+                f"limit is {self.limit} and seed {self.seed}; expected neither below 0"
+            )
+
+
+def run(
+    policy: Policy,
+    env: HeapEnv,
+    indices: Sequence[int],
+    seed: int = 0,
+    name: str = "policy",
+    progress: Progress = silent,
+) -> list[EpisodeRecord]:
+    """Return one episode on each of the heaps, in their order.
+
+    An episode depends on policy, task, heap and seed alone, not on the episodes before it.
+
+    Args:
+        policy: Handed its own keys only.
+        env: Must offer those keys.
+        indices: Of the heaps in `env.heaps`.
+        seed: Of the policy's own randomness.
+        name: Under which the policy is reported.
+        progress: Told after each episode.
+    """
+    records = []
+    for i, index in enumerate(indices):
+        records.append(run_episode(policy, env, index, seed, name))
+        progress(name, i + 1, len(indices))
+    return records
+
+
+def run_episode(
+    policy: Policy, env: HeapEnv, index: int, seed: int = 0, name: str = "policy"
+) -> EpisodeRecord:
+    """Return one episode from the heap's own start; see `run`."""
+    heap = env.heaps[index]
+    obs, _ = env.reset(options={"heap": index, "fixed_start": True})
+    policy.reset(np.random.default_rng([seed, heap.seed]))
+    states, actions, infos = [env.state], [], [{"end": None}]
+    while infos[-1]["end"] is None:
+        action = policy.act(select(obs, policy.keys))
+        obs, _, _, _, info = env.step(action)
+        actions.append(np.asarray(action, np.float32))
+        infos.append(info)
+        # After a failure only the state before it can be trusted.
+        states.append(states[-1] if info["failure"] else env.state)
+    steps: list[dict[str, Any]] = infos[1:]
+    return EpisodeRecord(
+        heap_seed=heap.seed,
+        count=heap.count,
+        condition=heap.condition,
+        policy=name,
+        objects=heap.objects,
+        target=heap.target,
+        actions=np.stack(actions),
+        ee_positions=np.stack([state.ee_position for state in states]),
+        occlusions=np.array([state.occlusion for state in states]),
+        poses=np.stack([state.poses for state in states]),
+        reward_terms={
+            term: np.array([step["reward_terms"][term] for step in steps])
+            for term in steps[0]["reward_terms"]
+        },
+        clutter_moved=np.array([step["clutter_moved"] for step in steps]),
+        target_moved=np.array([step["target_moved"] for step in steps]),
+        end=steps[-1]["end"],
+        action_limit=env.config.max_actions,
+    )
+
+
+def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent) -> Evaluation:
+    """Return all episodes of a plan, the same whatever the number of workers.
+
+    A worker process that dies costs time only: the episodes it owed are run again.
+
+    Raises:
+        MechSearchError: If the plan cannot be carried out, or workers keep dying.
+    """
+    heap_set, indices, policy = _prepared(plan)[1:]
+    name = plan.name or plan.policy
+    records: list[EpisodeRecord] = []
+    dead_at = -1
+    while len(records) < len(indices):
+        try:
+            for record in map_in_order(_Episode(plan), indices[len(records) :], workers):
+                records.append(record)
+                progress(name, len(records), len(indices))
+        except BrokenProcessPool:
+            if dead_at == len(records):
+                raise MechSearchError(
+                    f"worker processes died twice after {dead_at} of {len(indices)} episodes, "
+                    f"perhaps for lack of memory; try fewer than {workers} workers"
+                ) from None
+            dead_at = len(records)
+    return Evaluation(_header(plan, heap_set, policy), tuple(records))
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """One heap's episode, in whichever process."""
+
+    plan: EvaluationPlan
+
+    def __call__(self, index: int) -> EpisodeRecord:
+        env, _, _, policy = _prepared(self.plan)
+        return run_episode(policy, env, index, self.plan.seed, self.plan.name or self.plan.policy)
+
+
+@lru_cache(maxsize=1)
+def _prepared(plan: EvaluationPlan) -> tuple[HeapEnv, HeapSet, tuple[int, ...], Policy]:
+    """Return a plan's environment, heap set, heap indices and policy, once for each process."""
+    heap_set = load(plan.heaps)
+    objects = load_object_set(plan.objects or heap_set.manifest["config"]["objects"])
+    check_objects(heap_set, objects)
+    policy = make_policy(plan.policy)
+    config = replace(plan.env, keys=tuple(policy.keys), privileged=False)
+    return HeapEnv(heap_set.heaps, objects, config), heap_set, _chosen(heap_set, plan), policy
+
+
+def _chosen(heap_set: HeapSet, plan: EvaluationPlan) -> tuple[int, ...]:
+    held_out = {"held-out": (True,), "train": (False,), "all": (True, False)}[plan.split]
+    indices = [i for i, heap in enumerate(heap_set.heaps) if heap.held_out in held_out]
+    if not indices:
+        raise MechSearchError(f"{plan.heaps} has no {plan.split} heaps")
+    if plan.limit > len(indices):
+        raise MechSearchError(
+            f"{plan.limit} heaps asked for; {plan.heaps} has {len(indices)} {plan.split} heaps"
+        )
+    # Heaps are kept by object count, so an even spread has all counts alike.
+    number = plan.limit or len(indices)
+    return tuple(indices[i * len(indices) // number] for i in range(number))
+
+
+def _header(plan: EvaluationPlan, heap_set: HeapSet, policy: Policy) -> dict[str, Any]:
+    return {
+        "name": plan.name or plan.policy,
+        "policy": plan.policy,
+        "keys": list(policy.keys),
+        "seed": plan.seed,
+        "training_actions": int(getattr(policy, "training_actions", 0)),
+        "heap_set": heap_set.hash,
+        "condition": heap_set.manifest["config"]["condition"],
+        "object_set": plan.objects or heap_set.manifest["config"]["objects"],
+        "split": plan.split,
+        "env": asdict(plan.env),
+        "engine": heap_set.manifest["engine"],
+        "version": version("mechsearch"),
+    }

@@ -1,0 +1,85 @@
+"""Rigid transforms and quaternions. A pose is (7,): position [m], unit quaternion (w, x, y, z)."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mechsearch.types import Floats
+
+
+def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:
+    """Return the Hamilton products (..., 4) of quaternions: rotate by `right`, then by `left`."""
+    a, b = np.broadcast_arrays(np.asarray(left, np.float64), np.asarray(right, np.float64))
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def random_quaternion(rng: np.random.Generator) -> Floats:
+    """Return a quaternion (4,) drawn uniformly from all rotations (Shoemake, 1992)."""
+    u, v, w = rng.random(3)
+    a, b = np.sqrt(1 - u), np.sqrt(u)
+    return np.array(
+        [
+            a * np.sin(2 * np.pi * v),
+            a * np.cos(2 * np.pi * v),
+            b * np.sin(2 * np.pi * w),
+            b * np.cos(2 * np.pi * w),
+        ]
+    )
+
+
+def yaw_quaternion(angle: float) -> Floats:
+    """Return the quaternion (4,) of a rotation by `angle` [rad] about the vertical axis."""
+    return np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+
+
+def transform_from_pose(pose: ArrayLike) -> Floats:
+    """Return the homogeneous matrix (4, 4) of a pose (7,)."""
+    p = np.asarray(pose, dtype=np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_from_quaternion(p[3:])
+    matrix[:3, 3] = p[:3]
+    return matrix
+
+
+def invert(transform: ArrayLike) -> Floats:
+    """Return the inverse (4, 4) of a rigid transform."""
+    matrix = np.asarray(transform, dtype=np.float64)
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
+
+
+def apply(transform: ArrayLike, points: ArrayLike) -> Floats:
+    """Return points (..., 3) moved by a rigid transform (4, 4)."""
+    matrix = np.asarray(transform, dtype=np.float64)
+    moved: NDArray[np.float64] = np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved
+
+
+def cap_length(vector: ArrayLike, limit: float) -> Floats:
+    """Return the vector (3,), shortened to `limit` where it is longer."""
+    v = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(v))
+    return v if length <= limit else v * (limit / length)

@@ -1,0 +1,106 @@
+"""Convex parts of a mesh: one hull where that is close enough, else a decomposition."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import QhullError
+
+from mechsearch.objects.hull import hull_error, reduced_hull
+from mechsearch.types import Floats, MechSearchError
+
+SINGLE_HULL_ERROR = 0.003
+"""Largest error [m] at which one hull stands for the whole object."""
+
+MOST_PARTS = 8
+THRESHOLD = 0.08
+"""CoACD's concavity bound, relative to the mesh's size."""
+
+TIME_LIMIT = 180.0
+_SCRIPT = Path(__file__).with_name("coacd_process.py")
+
+
+@dataclass(frozen=True)
+class ConvexParts:
+    """Convex parts of one mesh.
+
+    Attributes:
+        parts: Each the vertices (P, 3) [m] of one hull.
+        error: Largest distance between mesh and parts [m].
+        remark: Why the decomposition failed and one hull was kept; empty if all went well.
+    """
+
+    parts: tuple[Floats, ...]
+    error: float
+    remark: str
+
+
+def single_hull(mesh: trimesh.Trimesh) -> ConvexParts:
+    """Return the one hull of a mesh.
+
+    Raises:
+        MechSearchError: If the mesh is flat.
+    """
+    try:
+        part = reduced_hull(np.asarray(mesh.vertices))
+    except (QhullError, ValueError):
+        raise MechSearchError("the mesh is flat; expected a solid object") from None
+    return ConvexParts((part,), hull_error(mesh, [part]), "")
+
+
+def convex_parts(mesh: trimesh.Trimesh, time_limit: float = TIME_LIMIT) -> ConvexParts:
+    """Return one hull where its error is at most 3 mm, else at most 8 parts by CoACD.
+
+    Args:
+        mesh: Any triangle mesh [m]; it need not be closed.
+        time_limit: Longest time for the decomposition [s]; then one hull is kept.
+
+    Raises:
+        MechSearchError: If the mesh is flat.
+    """
+    whole = single_hull(mesh)
+    if whole.error <= SINGLE_HULL_ERROR:
+        return whole
+    try:
+        parts = _decompose(mesh, time_limit)
+    except subprocess.TimeoutExpired:
+        return ConvexParts(whole.parts, whole.error, f"no decomposition in {time_limit:g} s")
+    except subprocess.CalledProcessError as error:
+        return ConvexParts(whole.parts, whole.error, f"decomposition failed ({error.returncode})")
+    split = ConvexParts(parts, hull_error(mesh, parts), "")
+    return split if parts and split.error < whole.error else whole
+
+
+def _decompose(mesh: trimesh.Trimesh, time_limit: float) -> tuple[Floats, ...]:
+    """Run CoACD in a process with a time limit; one thread, so that results repeat."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, result = Path(folder, "mesh.npz"), Path(folder, "parts.npz")
+        np.savez(
+            source,
+            vertices=mesh.vertices,
+            faces=mesh.faces,
+            threshold=THRESHOLD,
+            most=MOST_PARTS,
+        )
+        subprocess.run(
+            [sys.executable, "-P", str(_SCRIPT), str(source), str(result)],
+            timeout=time_limit,
+            check=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
+        with np.load(result, allow_pickle=False) as file:
+            clouds = np.split(file["points"], np.cumsum(file["sizes"])[:-1])
+    parts = []
+    for cloud in clouds:
+        try:
+            parts.append(reduced_hull(cloud))
+        except (QhullError, ValueError):
+            continue  # A sliver without volume adds nothing to physics.
+    return tuple(parts)

@@ -1,0 +1,1 @@
+"""What a policy sees: position image, privileged offsets, and the observation that holds them."""

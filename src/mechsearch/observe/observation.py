@@ -1,0 +1,126 @@
+"""Assembles one observation, with just the keys that were asked for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+
+from mechsearch.camera import Camera
+from mechsearch.observe.position_image import position_image
+from mechsearch.types import Array, Floats, MechSearchError
+
+KEYS = (
+    "depth",
+    "position_image",
+    "rgb",
+    "target_label",
+    "ee_position",
+    "target_offset",
+    "clutter_offsets",
+    "clutter_mask",
+)
+IMAGE_KEYS = frozenset({"depth", "position_image", "rgb"})
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What an observation is made of.
+
+    Attributes:
+        depth: Depth image (H, W) [m], or None when no image is asked for.
+        target_mask: Visible target pixels (H, W), or None likewise.
+        rgb: Colour image (H, W, 3), or None when not asked for.
+        ee_position: End effector (3,) [m].
+        positions: Centres of mass of all objects (N, 3) [m].
+        present: Which objects are still on the table (N,).
+        target: Index of the target.
+        label: Index of the target among the object set's names.
+    """
+
+    depth: Array | None
+    target_mask: Array | None
+    rgb: Array | None
+    ee_position: Floats
+    positions: Floats
+    present: Array
+    target: int
+    label: int
+
+
+class Observer:
+    """Makes observations of one kind, and knows their space."""
+
+    def __init__(
+        self, keys: Sequence[str], camera: Camera, max_clutter: int, labels: int, reach: float
+    ) -> None:
+        """Choose the keys.
+
+        Args:
+            keys: Observation keys, in order.
+            camera: The view of all images.
+            max_clutter: Largest number of non-target objects; the offsets are padded to it.
+            labels: Number of names in the object set.
+            reach: Bound on every coordinate and offset [m].
+
+        Raises:
+            MechSearchError: If a key is unknown.
+        """
+        unknown = [key for key in keys if key not in KEYS]
+        if unknown:
+            raise MechSearchError(
+                f"unknown observation key {unknown[0]!r}; choose among {', '.join(KEYS)}"
+            )
+        self.keys = tuple(keys)
+        self.camera = camera
+        self.needs_images = bool(IMAGE_KEYS & set(keys))
+        self.needs_colour = "rgb" in keys
+        self._max_clutter = max_clutter
+        self._labels = labels
+        size = (camera.height, camera.width)
+        box = gymnasium.spaces.Box
+        spaces: dict[str, gymnasium.Space] = {
+            "depth": box(0.0, 10.0, (1, *size), np.float16),
+            "position_image": box(-reach, reach, (3, *size), np.float16),
+            "rgb": box(0, 255, (3, *size), np.uint8),
+            "target_label": box(0.0, 1.0, (labels,), np.float32),
+            "ee_position": box(-reach, reach, (3,), np.float32),
+            "target_offset": box(-reach, reach, (3,), np.float32),
+            "clutter_offsets": box(-reach, reach, (max_clutter, 3), np.float32),
+            "clutter_mask": gymnasium.spaces.MultiBinary(max_clutter),
+        }
+        self.space = gymnasium.spaces.Dict({key: spaces[key] for key in keys})
+
+    def observe(self, scene: Scene) -> dict[str, Array]:
+        """Return a fresh observation (see `types` for its keys)."""
+        return {key: getattr(self, f"_{key}")(scene) for key in self.keys}
+
+    def _depth(self, scene: Scene) -> Array:
+        return np.asarray(scene.depth, np.float16)[None]
+
+    def _position_image(self, scene: Scene) -> Array:
+        mask, depth = np.asarray(scene.target_mask), np.asarray(scene.depth)
+        return position_image(mask, depth, self.camera, scene.ee_position)
+
+    def _rgb(self, scene: Scene) -> Array:
+        return np.ascontiguousarray(np.moveaxis(np.asarray(scene.rgb), -1, 0))
+
+    def _target_label(self, scene: Scene) -> Array:
+        return np.eye(self._labels, dtype=np.float32)[scene.label]
+
+    def _ee_position(self, scene: Scene) -> Array:
+        return scene.ee_position.astype(np.float32)
+
+    def _target_offset(self, scene: Scene) -> Array:
+        return (scene.positions[scene.target] - scene.ee_position).astype(np.float32)
+
+    def _clutter_offsets(self, scene: Scene) -> Array:
+        offsets = np.zeros((self._max_clutter, 3), np.float32)
+        others = np.delete(scene.positions, scene.target, axis=0) - scene.ee_position
+        offsets[: len(others)] = others * np.delete(scene.present, scene.target)[:, None]
+        return offsets
+
+    def _clutter_mask(self, scene: Scene) -> Array:
+        mask = np.zeros(self._max_clutter, np.int8)
+        mask[: len(scene.positions) - 1] = np.delete(scene.present, scene.target)
+        return mask

@@ -1,0 +1,1 @@
+"""Images from poses: colour, metric depth, instance ids, modal and amodal masks, occlusion."""

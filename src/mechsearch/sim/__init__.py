@@ -1,0 +1,1 @@
+"""Physics: the world, its workspace, the pusher, and settling."""

@@ -1,0 +1,41 @@
+"""Whether objects lie still."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.world import World
+from mechsearch.types import Array
+
+REST_LIMIT = 0.001
+"""At rest, no object moves farther than this [m] in one more simulated second."""
+
+
+def settle(world: World, seconds: float = 4.0, speed: float = 0.004) -> bool:
+    """Step until every object is slower than `speed` [m/s, rad/s / 10], or give up.
+
+    Returns:
+        Whether all objects came to rest.
+    """
+    weights = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+    chunk = max(1, round(0.25 / world.config.time_step))
+    for _ in range(int(seconds / 0.25)):
+        world.step(chunk)
+        if float(np.abs(world.velocities * weights).max(initial=0.0)) < speed:
+            return True
+    return False
+
+
+def drift(models: Sequence[ObjectModel], poses: Array) -> float:
+    """Return how far the most restless object moves [m] in one second, started at `poses`.
+
+    A fresh world is used, as an episode would; a failed simulation drifts infinitely far.
+    """
+    world = World(models)
+    world.reset(poses)
+    world.step(round(1.0 / world.config.time_step))
+    if world.failure() is not None:
+        return float("inf")
+    moved = world.poses[:, :3] - np.asarray(poses)[:, :3]
+    return float(np.linalg.norm(moved, axis=1).max(initial=0.0))

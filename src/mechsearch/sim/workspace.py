@@ -1,0 +1,42 @@
+"""Where things are: the table and the box in which the end effector may move."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mechsearch.types import Array, Floats
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A square table at height 0 and the end effector's bounds above it.
+
+    Attributes:
+        half: Half the side of the bounds, about the origin [m].
+        low: Lowest height of the fingertip [m].
+        high: Greatest height of the fingertip [m].
+        table_half: Half the side of the table [m].
+        floor: Height of the floor around the table [m].
+    """
+
+    half: float = 0.3
+    low: float = 0.01
+    high: float = 0.25
+    table_half: float = 0.4
+    floor: float = -0.75
+
+    def clip(self, position: Array) -> Floats:
+        """Return the nearest position (3,) [m] inside the bounds."""
+        return np.clip(
+            np.asarray(position, np.float64),
+            [-self.half, -self.half, self.low],
+            [self.half, self.half, self.high],
+        )
+
+    def sample(self, rng: np.random.Generator) -> Floats:
+        """Return a position (3,) [m] drawn uniformly from the bounds."""
+        return rng.uniform([-self.half, -self.half, self.low], [self.half, self.half, self.high])
+
+    def off_table(self, position: Array) -> bool:
+        """Return whether an object's centre of mass (3,) has left the table."""
+        return bool(np.abs(position[:2]).max() > self.table_half or position[2] < -0.05)

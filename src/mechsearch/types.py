@@ -1,0 +1,59 @@
+"""Records, names and protocols that cross the borders between packages."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+Observation = Mapping[str, Array]
+
+ACTOR_KEYS = ("depth", "position_image", "ee_position")
+"""What the actor sees (paper, section III-B): images and the end effector's own position."""
+
+RGB_ACTOR_KEYS = ("depth", "rgb", "target_label", "ee_position")
+"""The paper's "No Pose Input" ablation: colour and a one-hot target label instead of positions."""
+
+PRIVILEGED_KEYS = ("target_offset", "clutter_offsets", "clutter_mask")
+"""What only a simulator knows (paper, section III-C): object positions relative to the effector."""
+
+TEACHER_KEYS = ("ee_position", *PRIVILEGED_KEYS)
+CRITIC_KEYS = TEACHER_KEYS
+
+ACTION_LENGTH = 0.05
+"""Longest displacement of the end effector in one action [m] (paper, section IV-A)."""
+
+
+class MechSearchError(Exception):
+    """Bad input: the message names the value, what was expected and the valid choices."""
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Anything that acts: the actor, a teacher, random, idle, or a user's own."""
+
+    keys: tuple[str, ...]
+    """Observation keys that the policy reads; it is handed no others."""
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a new episode; all the policy's randomness comes from `rng`."""
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return an action (3,) in [-1, 1], in workspace axes, for one observation."""
+
+
+def select(obs: Observation, keys: tuple[str, ...]) -> dict[str, Array]:
+    """Return the part of an observation that one policy may read.
+
+    Raises:
+        MechSearchError: If a key is missing from the observation.
+    """
+    missing = [key for key in keys if key not in obs]
+    if missing:
+        raise MechSearchError(
+            f"the observation lacks {', '.join(missing)}; it has {', '.join(sorted(obs))}. "
+            "Privileged keys need an environment made with privileged=True."
+        )
+    return {key: obs[key] for key in keys}

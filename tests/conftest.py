@@ -1,0 +1,62 @@
+"""Objects and heaps that most tests share."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from mechsearch.heaps.heap import Heap
+from mechsearch.objects.model import ObjectModel, ObjectSet
+
+
+def box_model(name, sides, mass=0.1):
+    box = trimesh.creation.box(sides)
+    a, b, c = np.square(sides)
+    return ObjectModel(
+        name,
+        "box",
+        np.array(box.vertices),
+        box.faces.astype(np.int32),
+        np.full((12, 1, 3), 180, np.uint8),
+        (np.array(box.vertices),),
+        mass,
+        np.diag([b + c, a + c, a + b]) * mass / 12,
+        0.5,
+        0.0,
+        name,
+    )
+
+
+@pytest.fixture(scope="session")
+def boxes():
+    """A 10 cm plate, a 6 cm cube, and small cubes."""
+    models = [
+        box_model("plate", (0.1, 0.1, 0.02)),
+        box_model("cube", (0.06, 0.06, 0.06)),
+        *[box_model(f"small{i}", (0.03, 0.03, 0.03), 0.05) for i in range(4)],
+    ]
+    return ObjectSet("boxes", {model.name: model for model in models}, {})
+
+
+def pose(x, y, z):
+    return [x, y, z, 1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture(scope="session")
+def covered(boxes):
+    """A cube half hidden under a plate that lies flat on it, and a small cube far away."""
+    del boxes
+    poses = np.array([pose(0, 0, 0.03), pose(0.02, 0, 0.07), pose(0.15, 0.1, 0.015)])
+    return Heap(("cube", "plate", "small0"), poses, 0, 1.0, 1234, 3, "single", False)
+
+
+@pytest.fixture(scope="session")
+def ycb_folder():
+    """The real objects' folder, where there is one."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "ycb"
+    folder = Path(os.environ.get("MECHSEARCH_YCB", beside))
+    if not folder.is_dir():
+        pytest.skip("no YCB objects: set MECHSEARCH_YCB to their folder to run this test")
+    return folder

@@ -1,0 +1,98 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mechsearch.evaluation import summary
+from mechsearch.evaluation.metrics import METRICS, Estimate, score
+from mechsearch.evaluation.summary import SummaryRow
+from mechsearch.types import MechSearchError
+
+HEADER = "experiment,condition,variant,seed,actions,metric,mean,ci_low,ci_high\n"
+ROW = SummaryRow("main", "single", "method", 0, 8000, "reward", -15.25, -16.5, -14.0)
+
+
+def test_there_is_one_row_for_each_metric(make_episode) -> None:
+    scores = score([make_episode(1), make_episode(2)])
+    rows = summary.rows("main", "single", "random", 0, 0, scores)
+    assert tuple(row.metric for row in rows) == METRICS
+    assert all(row.ci_low <= row.mean <= row.ci_high for row in rows)
+
+
+def test_the_file_is_plain_csv(tmp_path: Path) -> None:
+    summary.merge(tmp_path / "summary.csv", [ROW])
+    text = (tmp_path / "summary.csv").read_text()
+    assert text == HEADER + "main,single,method,0,8000,reward,-15.25,-16.5,-14\n"
+
+
+def test_merging_replaces_rows_of_the_same_name_and_keeps_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "summary.csv"
+    other_seed = replace(ROW, seed=1)
+    summary.merge(path, [other_seed, ROW])
+    merged = summary.merge(path, [replace(ROW, mean=-15.0)])
+    assert merged == [replace(ROW, mean=-15.0), other_seed]
+    assert summary.read(path) == merged
+
+
+names = st.text(min_size=1, max_size=8).filter(lambda text: text.isprintable())
+numbers = st.floats(-1e6, 1e6).map(lambda value: float(f"{value:.6g}"))
+table = st.lists(
+    st.builds(
+        SummaryRow,
+        names,
+        names,
+        names,
+        st.integers(0, 3),
+        st.integers(0, 9000),
+        st.sampled_from(METRICS),
+        numbers,
+        numbers,
+        numbers,
+    ),
+    max_size=6,
+)
+
+
+@given(table, table)
+def test_merging_is_idempotent_and_sorted(tmp_path_factory, first: list, second: list) -> None:
+    path = tmp_path_factory.mktemp("summary") / "summary.csv"
+    summary.merge(path, first)
+    once = summary.merge(path, second)
+    before = path.read_bytes()
+    assert summary.merge(path, second) == once == sorted(once, key=lambda row: row.key)
+    assert path.read_bytes() == before
+    assert summary.read(path) == once
+    assert {row.key for row in once} == {row.key for row in first + second}
+
+
+def test_an_interval_that_does_not_exist_survives_the_file(tmp_path: Path) -> None:
+    scores = dict.fromkeys(METRICS, Estimate(1.0, float("nan"), float("nan"), 1))
+    summary.merge(tmp_path / "s.csv", summary.rows("e", "single", "idle", 0, 0, scores))
+    assert all(row.ci_low != row.ci_low for row in summary.read(tmp_path / "s.csv"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "begins with nothing"),
+        ("a,b\n", "begins with a,b; expected experiment,condition"),
+        (HEADER + "main,single,method,zero,0,reward,1,1,1\n", "line 2 of"),
+        (HEADER + "main,single\n", "line 2 of"),
+    ],
+)
+def test_a_file_that_is_no_summary_is_refused_and_kept(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "summary.csv"
+    path.write_text(text)
+    with pytest.raises(MechSearchError, match=message):
+        summary.merge(path, [ROW])
+    assert path.read_text() == text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_summary_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MechSearchError, match="no summary at"):
+        summary.read(tmp_path / "summary.csv")

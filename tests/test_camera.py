@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mechsearch.camera import PRESETS, Camera, preset
+from mechsearch.types import MechSearchError
+
+
+@given(st.sampled_from(list(PRESETS)), st.integers(0, 2**32 - 1), st.sampled_from([64, 84, 128]))
+def test_projecting_a_back_projected_pixel_returns_it(name, seed, size):
+    camera = preset(name, size)
+    depth = np.random.default_rng(seed).uniform(0.3, 2.0, (size, size))
+    projected = camera.project(camera.back_project(depth))
+    columns, rows = np.meshgrid(np.arange(size), np.arange(size))
+    np.testing.assert_allclose(projected[..., 0], columns, atol=1e-8)
+    np.testing.assert_allclose(projected[..., 1], rows, atol=1e-8)
+    np.testing.assert_allclose(projected[..., 2], depth, atol=1e-9)
+
+
+def test_overhead_columns_run_along_x_and_rows_against_y():
+    column, row, depth = preset("overhead").project([0.1, 0.2, 0.0])
+    assert depth == pytest.approx(1.0)
+    assert column == pytest.approx(31.5 + 9.2)
+    assert row == pytest.approx(31.5 - 18.4)
+
+
+def test_a_resized_view_shows_the_same_corner():
+    small, large = preset("tilted", 64), preset("tilted", 128)
+    point = small.back_project(np.ones((64, 64)))[0, 0]
+    assert large.project(point)[:2] == pytest.approx([0.5, 0.5])
+
+
+def test_the_tilted_view_sees_the_workspace_and_keeps_up_upwards():
+    camera = preset("tilted")
+    corners = [[x, y, 0.0] for x in (-0.25, 0.25) for y in (-0.2, 0.3)]
+    pixels = camera.project(corners)[:, :2]
+    assert (pixels > 0).all()
+    assert (pixels < 63).all()
+    assert camera.project([0, 0, 0.2])[1] < camera.project([0, 0, 0])[1]
+
+
+def test_unknown_views_and_wrong_depths_are_named():
+    with pytest.raises(MechSearchError, match=r"'side'.*overhead, tilted"):
+        preset("side")
+    with pytest.raises(MechSearchError, match=r"\(3, 3\).*\(64, 64\)"):
+        preset("overhead").back_project(np.ones((3, 3)))
+    with pytest.raises(MechSearchError, match="focal length"):
+        Camera(4, 4, 0.0, 1.0, 0, 0, tuple(np.eye(4).ravel()))

@@ -1,0 +1,58 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mechsearch.geometry import (
+    apply,
+    cap_length,
+    invert,
+    quaternion_product,
+    random_quaternion,
+    rotation_from_quaternion,
+    transform_from_pose,
+    yaw_quaternion,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+def test_rotation_matrices_agree_with_scipy(seed):
+    q = random_quaternion(np.random.default_rng(seed))
+    np.testing.assert_allclose(
+        rotation_from_quaternion(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12
+    )
+
+
+@given(seeds)
+def test_a_product_rotates_by_the_right_factor_first(seed):
+    rng = np.random.default_rng(seed)
+    a, b = random_quaternion(rng), random_quaternion(rng)
+    np.testing.assert_allclose(
+        rotation_from_quaternion(quaternion_product(a, b)),
+        rotation_from_quaternion(a) @ rotation_from_quaternion(b),
+        atol=1e-12,
+    )
+
+
+@given(seeds)
+def test_an_inverse_undoes_a_transform(seed):
+    rng = np.random.default_rng(seed)
+    transform = transform_from_pose([*rng.normal(size=3), *random_quaternion(rng)])
+    points = rng.normal(size=(5, 3))
+    np.testing.assert_allclose(apply(invert(transform), apply(transform, points)), points, atol=1e-12)
+
+
+def test_a_quarter_yaw_takes_x_to_y():
+    np.testing.assert_allclose(
+        rotation_from_quaternion(yaw_quaternion(np.pi / 2)) @ [1, 0, 0], [0, 1, 0], atol=1e-15
+    )
+
+
+@given(seeds, st.floats(0.01, 10))
+def test_a_capped_vector_keeps_its_direction_and_never_exceeds_the_limit(seed, limit):
+    vector = np.random.default_rng(seed).normal(size=3) * 5
+    capped = cap_length(vector, limit)
+    assert np.linalg.norm(capped) <= limit * (1 + 1e-12) or np.array_equal(capped, vector)
+    np.testing.assert_allclose(np.cross(capped, vector), 0, atol=1e-9)
