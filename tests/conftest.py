@@ -31,9 +31,10 @@ def box_model(name, sides, mass=0.1):
 
 @pytest.fixture(scope="session")
 def boxes():
-    """A 10 cm plate, a 6 cm cube, and small cubes."""
+    """A 10 cm plate, an 8 cm lid, a 6 cm cube, and small cubes."""
     models = [
         box_model("plate", (0.1, 0.1, 0.02)),
+        box_model("lid", (0.08, 0.08, 0.02)),
         box_model("cube", (0.06, 0.06, 0.06)),
         *[box_model(f"small{i}", (0.03, 0.03, 0.03), 0.05) for i in range(4)],
     ]
@@ -46,10 +47,10 @@ def pose(x, y, z):
 
 @pytest.fixture(scope="session")
 def covered(boxes):
-    """A cube half hidden under a plate that lies flat on it, and a small cube far away."""
+    """A cube, three quarters hidden under a lid that lies flat on it, and a small cube apart."""
     del boxes
-    poses = np.array([pose(0, 0, 0.03), pose(0.02, 0, 0.07), pose(0.15, 0.1, 0.015)])
-    return Heap(("cube", "plate", "small0"), poses, 0, 1.0, 1234, 3, "single", False)
+    poses = np.array([pose(0, 0, 0.03), pose(0.025, 0, 0.07), pose(0.15, 0.1, 0.015)])
+    return Heap(("cube", "lid", "small0"), poses, 0, 0.75, 1234, 3, "single", False)
 
 
 @pytest.fixture(scope="session")

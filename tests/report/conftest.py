@@ -68,10 +68,10 @@ def episode(seed: int, policy: str, gain: float, length: int = 8) -> EpisodeReco
 
 @pytest.fixture(scope="session")
 def make_evaluation() -> MakeEvaluation:
-    def make(policy: str, gain: float, heaps: int = 12, **header: object) -> Evaluation:
+    def make(name: str, gain: float, heaps: int = 12, **header: object) -> Evaluation:
         rng = np.random.default_rng(round(gain * 100))
         episodes = [
-            episode(seed, policy, max(0.0, gain + rng.normal(0, 0.1))) for seed in range(heaps)
+            episode(seed, name, max(0.0, gain + rng.normal(0, 0.1))) for seed in range(heaps)
         ]
         values = {"heap_set": "abc", "object_set": "household", "seed": 0, "training_actions": 0}
         return Evaluation(values | header, tuple(episodes))

@@ -14,15 +14,23 @@ from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.types import MechSearchError, Observation, select
 
 KIND = "mechsearch actor"
+ACTOR_FILE = "actor.safetensors"
+"""The last actor in a run directory."""
 
 
 class ActorPolicy:
     """An actor without noise; the same observation gives the same action."""
 
-    def __init__(self, actor: Actor) -> None:
-        """Keep a copy: training the original later does not change this policy."""
+    def __init__(self, actor: Actor, training_actions: int = 0) -> None:
+        """Keep a copy: training the original later does not change this policy.
+
+        Args:
+            actor: What acts.
+            training_actions: Actions executed in its training, for the record.
+        """
         self.actor = copy.deepcopy(actor).eval()
         self.keys = actor.keys
+        self.training_actions = training_actions
 
     def reset(self, rng: np.random.Generator) -> None:
         """Do nothing: the actor remembers nothing."""
@@ -46,11 +54,12 @@ class ActorPolicy:
         return action
 
 
-def save_actor(actor: Actor, path: Path) -> None:
+def save_actor(actor: Actor, path: Path, training_actions: int) -> None:
     """Write an actor to a safetensors file that `load_actor` needs nothing beside."""
     meta = {
         "shapes": {key: list(shape) for key, shape in actor.shapes.items()},
         "network": asdict(actor.config),
+        "training_actions": training_actions,
     }
     save_archive(path, Archive(KIND, dict(actor.state_dict()), meta))
 
@@ -58,12 +67,15 @@ def save_actor(actor: Actor, path: Path) -> None:
 def load_actor(path: Path) -> ActorPolicy:
     """Read an actor written by `save_actor`.
 
+    Args:
+        path: The file, or a run directory, whose last actor is meant.
+
     Raises:
         MechSearchError: If the file is missing, damaged or holds something else.
     """
-    archive = load_archive(path, KIND)
+    archive = load_archive(path / ACTOR_FILE if path.is_dir() else path, KIND)
     network = record_from_json(NetworkConfig, archive.meta["network"])
     shapes = {key: tuple(shape) for key, shape in archive.meta["shapes"].items()}
     actor = Actor(shapes, network)
     archive.fill(actor)
-    return ActorPolicy(actor)
+    return ActorPolicy(actor, int(archive.meta["training_actions"]))

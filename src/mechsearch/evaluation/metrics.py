@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.types import MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
 METRICS = (
     "reward",
@@ -125,7 +125,9 @@ def score_by_count(records: Sequence[EpisodeRecord]) -> dict[int, dict[str, Esti
 def paired_difference(
     ours: Sequence[EpisodeRecord], theirs: Sequence[EpisodeRecord], metric: str
 ) -> Estimate:
-    """Return the mean of ours minus theirs, heap by heap, with Student's t interval.
+    """Return the mean of ours minus theirs, heap by heap, with its interval.
+
+    The interval is Student's t; Agresti and Min's (2005) for the share uncovered.
 
     Raises:
         MechSearchError: If the two were not run on the same heaps, or there is no such metric.
@@ -139,7 +141,25 @@ def paired_difference(
     known = next(iter(left.values()), {})
     if metric not in known:
         raise MechSearchError(f"unknown metric {metric!r}; choose one of {', '.join(known)}")
-    return mean_interval([left[heap][metric] - right[heap][metric] for heap in left])
+    differences = [left[heap][metric] - right[heap][metric] for heap in left]
+    if metric == "uncovered_rate":
+        return _difference_of_shares(np.array(differences))
+    return mean_interval(differences)
+
+
+def _difference_of_shares(x: Floats) -> Estimate:
+    """Return the mean of paired differences (n,), each -1, 0 or 1, after Agresti and Min (2005).
+
+    Half an episode is added to each of the four outcomes of a pair, so that the interval does not
+    shrink to a point when all pairs are alike.
+    """
+    n, gained, lost = len(x) + 2, (x > 0).sum() + 0.5, (x < 0).sum() + 0.5
+    centre = (gained - lost) / n
+    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    half = z * float(np.sqrt((gained + lost) / n - centre**2) / np.sqrt(n))
+    mean = float(x.mean())
+    low, high = min(mean, centre - half), max(mean, centre + half)
+    return Estimate(mean, max(-1.0, low), min(1.0, high), len(x))
 
 
 def _by_heap(records: Sequence[EpisodeRecord]) -> dict[tuple[str, int], dict[str, float]]:
@@ -152,8 +172,8 @@ def _by_heap(records: Sequence[EpisodeRecord]) -> dict[tuple[str, int], dict[str
     return measured
 
 
-def _checked(values: ArrayLike) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    x = np.asarray(values, dtype=np.float64).reshape(-1)
+def _checked(values: ArrayLike) -> Floats:
+    x: Floats = np.asarray(values, dtype=np.float64).reshape(-1)
     if not len(x):
         raise MechSearchError("there is nothing to average; expected at least one value")
     return x

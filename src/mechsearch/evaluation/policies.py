@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.runs import read_json
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
 
 TRAINED_LOADER = "mechsearch.agent.policy:load_actor"
-"""Function that turns a run directory or checkpoint into a policy; needs the `learn` extra."""
+"""Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
+
+RUN_CONFIG = "config.json"
 
 
 class RandomPolicy:
@@ -56,8 +59,9 @@ def make_policy(spec: str) -> Policy:
 
     Args:
         spec: "random", "idle", "teacher-straight", "teacher-zigzag" or "teacher-spiral"; a run
-            directory or a checkpoint (.safetensors); or `package.module:factory`, a function
-            without arguments, or a class, that returns a `mechsearch.types.Policy`.
+            directory, whose last actor is meant, or one actor's file (.safetensors); or
+            `package.module:factory`, a function without arguments, or a class, that returns a
+            `mechsearch.types.Policy`.
 
     Raises:
         MechSearchError: If there is no such policy, or it cannot be made.
@@ -76,15 +80,30 @@ def make_policy(spec: str) -> Policy:
         return _checked(_found(spec)(), spec)
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {', '.join(policy_names())}, a run directory, "
-        "a checkpoint (.safetensors), or package.module:factory"
+        "an actor's file (.safetensors), or package.module:factory"
     )
+
+
+def trained_view(spec: str) -> dict[str, Any]:
+    """Return `camera` and `image_size` of the run that a policy comes from; empty for others."""
+    path = Path(spec)
+    if not (path.is_dir() or spec.endswith(".safetensors")):
+        return {}
+    folders = (path, path.parent, path.parent.parent)
+    configs = [folder / RUN_CONFIG for folder in folders if (folder / RUN_CONFIG).is_file()]
+    if not configs:
+        return {}
+    config = read_json(configs[0], "training configuration")
+    return {name: config[name] for name in ("camera", "image_size") if name in config}
 
 
 def _trained(path: Path) -> Policy:
     if not path.exists():
-        raise MechSearchError(f"no checkpoint at {path}")
+        raise MechSearchError(f"no actor at {path}")
     if importlib.util.find_spec("torch") is None:
         raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
+    # Other numbers of threads give other bits, and scores must not depend on the workers.
+    importlib.import_module("torch").set_num_threads(1)
     return _checked(_found(TRAINED_LOADER)(path), str(path))
 
 

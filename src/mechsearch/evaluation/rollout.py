@@ -12,7 +12,7 @@ import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.policies import make_policy
+from mechsearch.evaluation.policies import make_policy, trained_view
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.parallel import Progress, map_in_order, silent
@@ -33,7 +33,9 @@ class EvaluationPlan:
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly over the split; 0 takes all.
         seed: Of the policy's own randomness; starts depend on the heap alone.
-        env: The task. Its keys are replaced by those that the policy reads.
+        camera: View of images and occlusion; empty takes the one that the policy was trained with,
+            or else the heap set's.
+        env: The rest of the task; its keys are replaced by those that the policy reads.
     """
 
     policy: str
@@ -43,6 +45,7 @@ class EvaluationPlan:
     split: str = "held-out"
     limit: int = 0
     seed: int = 0
+    camera: str = ""
     env: HeapEnvConfig = field(default_factory=HeapEnvConfig)
 
     def __post_init__(self) -> None:
@@ -129,7 +132,7 @@ def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent
     Raises:
         MechSearchError: If the plan cannot be carried out, or workers keep dying.
     """
-    heap_set, indices, policy = _prepared(plan)[1:]
+    env, heap_set, indices, policy = _prepared(plan)
     name = plan.name or plan.policy
     records: list[EpisodeRecord] = []
     dead_at = -1
@@ -145,7 +148,7 @@ def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent
                     f"perhaps for lack of memory; try fewer than {workers} workers"
                 ) from None
             dead_at = len(records)
-    return Evaluation(_header(plan, heap_set, policy), tuple(records))
+    return Evaluation(_header(plan, env, heap_set, policy), tuple(records))
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,9 @@ def _prepared(plan: EvaluationPlan) -> tuple[HeapEnv, HeapSet, tuple[int, ...], 
     objects = load_object_set(plan.objects or heap_set.manifest["config"]["objects"])
     check_objects(heap_set, objects)
     policy = make_policy(plan.policy)
-    config = replace(plan.env, keys=tuple(policy.keys), privileged=False)
+    view = {"camera": heap_set.camera} | trained_view(plan.policy)
+    view |= {"camera": plan.camera} if plan.camera else {}
+    config = replace(plan.env, keys=tuple(policy.keys), privileged=False, **view)
     return HeapEnv(heap_set.heaps, objects, config), heap_set, _chosen(heap_set, plan), policy
 
 
@@ -184,7 +189,9 @@ def _chosen(heap_set: HeapSet, plan: EvaluationPlan) -> tuple[int, ...]:
     return tuple(indices[i * len(indices) // number] for i in range(number))
 
 
-def _header(plan: EvaluationPlan, heap_set: HeapSet, policy: Policy) -> dict[str, Any]:
+def _header(
+    plan: EvaluationPlan, env: HeapEnv, heap_set: HeapSet, policy: Policy
+) -> dict[str, Any]:
     return {
         "name": plan.name or plan.policy,
         "policy": plan.policy,
@@ -195,7 +202,7 @@ def _header(plan: EvaluationPlan, heap_set: HeapSet, policy: Policy) -> dict[str
         "condition": heap_set.manifest["config"]["condition"],
         "object_set": plan.objects or heap_set.manifest["config"]["objects"],
         "split": plan.split,
-        "env": asdict(plan.env),
+        "env": asdict(env.config),
         "engine": heap_set.manifest["engine"],
         "version": version("mechsearch"),
     }

@@ -4,47 +4,15 @@ import hashlib
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mechsearch.objects.model import ObjectModel
 from mechsearch.runs import write_whole
-from mechsearch.types import Array, Floats, MechSearchError
-
-
-def content_hash(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    texels: NDArray[np.uint8],
-    parts: Sequence[Floats],
-    mass: float,
-    inertia: Floats,
-    friction: float,
-) -> str:
-    """Return the SHA-256 of all that physics and rendering read, as 64 hexadecimal digits.
-
-    Args:
-        vertices: Visual mesh (V, 3) [m].
-        faces: Triangles (F, 3).
-        texels: Colours (F, T, 3).
-        parts: Convex parts, each (P, 3) [m].
-        mass: [kg].
-        inertia: About the centre of mass (3, 3) [kg m^2].
-        friction: Sliding coefficient.
-    """
-    scalars = np.array([mass, friction], np.float64)
-    return digest(
-        np.asarray(vertices, np.float64),
-        np.asarray(faces, np.int32),
-        np.asarray(texels, np.uint8),
-        *(np.asarray(part, np.float64) for part in parts),
-        np.asarray(inertia, np.float64),
-        scalars,
-    )
+from mechsearch.types import Array, MechSearchError
 
 
 def digest(*arrays: Array) -> str:
@@ -82,7 +50,7 @@ def model_to_npz(path: Path, model: ObjectModel, remark: str = "") -> None:
         "inertia": model.inertia,
     }
     arrays["checksum"] = np.frombuffer(_checksum(arrays).encode(), np.uint8)
-    write_whole(path, lambda partial: np.savez_compressed(partial, **arrays))
+    write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))
 
 
 def model_from_npz(path: Path) -> tuple[ObjectModel, str]:

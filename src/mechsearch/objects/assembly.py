@@ -57,9 +57,7 @@ def assemble(name: str, category: str, mass: float, solids: Sequence[Solid]) -> 
         inertia=inertia,
         friction=FRICTION,
         hull_error=max(hausdorff(solid.vertices, solid.hull) for solid in solids),
-        content_hash=content_hash(
-            name, vertices, faces, texels, parts, mass, inertia, FRICTION
-        ),
+        content_hash=content_hash(name, vertices, faces, texels, parts, mass, inertia, FRICTION),
     )
 
 
@@ -108,15 +106,13 @@ def triangle_distances(points: Floats, triangles: Floats) -> Floats:
     inward = np.cross(normals[:, None], edges)
     above = (np.einsum("nfcd,fcd->nfc", offsets, inward) >= 0).all(axis=2)
     to_plane = np.abs(np.einsum("nfd,fd->nf", offsets[:, :, 0], normals))
-    return np.where(above, to_plane, to_edges)
+    return np.asarray(np.where(above, to_plane, to_edges))
 
 
 def _shared_grid(texels: Iterable[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """Stack texels (F, T, 3), with T = 1 when every triangle has one colour."""
     count = len(texel_weights(TEXEL_ROWS))
-    stacked = np.concatenate(
-        [np.broadcast_to(block, (len(block), count, 3)) for block in texels]
-    )
+    stacked = np.concatenate([np.broadcast_to(block, (len(block), count, 3)) for block in texels])
     return stacked[:, :1].copy() if (stacked == stacked[:, :1]).all() else stacked
 
 

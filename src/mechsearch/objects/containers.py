@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from mechsearch.objects.paint import band, layers, panel, plain, spot, window
-from mechsearch.objects.primitives import Solid, box, cylinder, frustum, prism, shell, tube
+from mechsearch.objects.primitives import Solid, box, cylinder, fitted, frustum, prism, shell, tube
 
 Solids = Sequence[Solid]
 
@@ -89,23 +89,24 @@ def bleach_bottle() -> Solids:
         [0.034, 0.024, 0.024, 0.030],
     )
     oval = 0.065 / 0.098
-    return (
+    solids = (
         cylinder(0.098, 0.135).painted(label).scaled(y=oval),
         frustum(0.098, 0.060, 0.022, 12).painted(white).scaled(y=oval).moved(-0.003, z=0.135),
         frustum(0.046, 0.030, 0.070, 12).painted(white).moved(-0.018, z=0.150),
         cylinder(0.034, 0.032, 12).painted(plain("1c5fa8")).moved(-0.018, z=0.218),
         *(piece.turned("x", 90).painted(white) for piece in grip),
     )
+    return fitted(solids, 0.098, 0.065, 0.250)
 
 
 def bowl() -> Solids:
     """Return a bowl of 159 x 53 mm."""
     red = plain("c8371f")
     wall = shell(
-        [(0.030, 0.006), (0.0745, 0.053)], [(0.0795, 0.053), (0.068, 0.028), (0.034, 0.0)], 8
+        [(0.030, 0.006), (0.0745, 0.053)], [(0.0795, 0.053), (0.068, 0.028), (0.034, 0.0)], 9
     )
     inside = layers("c8371f", (band("z", 0.049, 0.06), "7d1a10"))
-    base = cylinder(0.066, 0.007, 8, 1).painted(red)
+    base = cylinder(0.065, 0.007, 9, 1).painted(red)
     return (*(piece.painted(inside) for piece in wall), base)
 
 
@@ -120,7 +121,7 @@ def mug() -> Solids:
     )
     return (
         *(piece.painted(red).turned("z", 180 / 7) for piece in wall),
-        cylinder(0.074, 0.006, 8, 1).painted(plain("efe7dc")),
+        cylinder(0.074, 0.006, 14, 1).painted(plain("efe7dc")),
         *(piece.turned("x", 90).painted(plain("b3261e")) for piece in handle),
     )
 

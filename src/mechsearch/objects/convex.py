@@ -11,11 +11,13 @@ import numpy as np
 import trimesh
 from scipy.spatial import QhullError
 
-from mechsearch.objects.hull import hull_error, reduced_hull
+from mechsearch.objects.hull import hull_error, reduced_hull, shell_distances
 from mechsearch.types import Floats, MechSearchError
 
-SINGLE_HULL_ERROR = 0.003
-"""Largest error [m] at which one hull stands for the whole object."""
+SINGLE_HULL_ERROR = 0.005
+SINGLE_HULL_USUAL_ERROR = 0.003
+"""One hull stands for an object when its error is nowhere above the first number [m], or on 95 % of
+its surface below the second: the dimple of an apple does not matter, the hollow of a cup does."""
 
 MOST_PARTS = 8
 THRESHOLD = 0.08
@@ -53,27 +55,34 @@ def single_hull(mesh: trimesh.Trimesh) -> ConvexParts:
     return ConvexParts((part,), hull_error(mesh, [part]), "")
 
 
-def convex_parts(mesh: trimesh.Trimesh, time_limit: float = TIME_LIMIT) -> ConvexParts:
-    """Return one hull where its error is at most 3 mm, else at most 8 parts by CoACD.
+def convex_parts(
+    mesh: trimesh.Trimesh, simple: trimesh.Trimesh, time_limit: float = TIME_LIMIT
+) -> ConvexParts:
+    """Return one hull where it is close enough, else at most 8 parts by CoACD.
 
     Args:
         mesh: Any triangle mesh [m]; it need not be closed.
+        simple: The same with fewer faces, which is what is decomposed.
         time_limit: Longest time for the decomposition [s]; then one hull is kept.
 
     Raises:
         MechSearchError: If the mesh is flat.
     """
     whole = single_hull(mesh)
-    if whole.error <= SINGLE_HULL_ERROR:
+    if whole.error <= SINGLE_HULL_ERROR or _usual_error(mesh, whole) <= SINGLE_HULL_USUAL_ERROR:
         return whole
     try:
-        parts = _decompose(mesh, time_limit)
+        parts = _decompose(simple, time_limit)
     except subprocess.TimeoutExpired:
         return ConvexParts(whole.parts, whole.error, f"no decomposition in {time_limit:g} s")
     except subprocess.CalledProcessError as error:
         return ConvexParts(whole.parts, whole.error, f"decomposition failed ({error.returncode})")
     split = ConvexParts(parts, hull_error(mesh, parts), "")
     return split if parts and split.error < whole.error else whole
+
+
+def _usual_error(mesh: trimesh.Trimesh, convex: ConvexParts) -> float:
+    return float(np.percentile(shell_distances(mesh, convex.parts), 95))
 
 
 def _decompose(mesh: trimesh.Trimesh, time_limit: float) -> tuple[Floats, ...]:

@@ -1,6 +1,6 @@
 """Convex hulls with few vertices, their mass, and how far they are from a mesh."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from mechsearch.types import Floats
 HULL_VERTICES = 32
 """Most vertices of a convex part; physics slows down with more."""
 
+_closest_point: Callable[..., Floats] = trimesh.triangles.closest_point
 _SAMPLES = 4000
 _CLOUD = 40_000
 
@@ -58,7 +59,8 @@ def _extreme_tetrahedron(corners: Floats) -> list[int]:
 
 def as_mesh(part: Floats) -> trimesh.Trimesh:
     """Return the hull of one convex part (P, 3) as an outward-facing mesh."""
-    return trimesh.Trimesh(part, np.zeros((0, 3), int), process=False).convex_hull
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(part)
+    return hull
 
 
 @dataclass(frozen=True)
@@ -98,15 +100,29 @@ def hull_error(mesh: trimesh.Trimesh, parts: Sequence[Floats]) -> float:
     uncovered pieces.
     """
     rng = np.random.default_rng(0)
-    hulls = [ConvexHull(part) for part in parts]
-    union = trimesh.util.concatenate([as_mesh(part) for part in parts])
-    shell, _, _ = sample_surface(union, _SAMPLES, rng)
-    shell = shell[~_inside(shell, hulls, -1e-5)]
     skin, _, _ = sample_surface(mesh, _SAMPLES, rng)
     skin = np.concatenate([skin, mesh.vertices[:: max(1, len(mesh.vertices) // _SAMPLES)]])
-    skin = skin[~_inside(skin, hulls, 0.0)]
-    errors = [_distances(shell, mesh, rng), _distances(skin, union, rng)]
-    return float(max(error.max(initial=0.0) for error in errors))
+    skin = skin[~_inside(skin, [ConvexHull(part) for part in parts], 0.0)]
+    union = _union(parts)
+    uncovered = _distances(skin, union, rng)
+    return float(max(uncovered.max(initial=0.0), shell_distances(mesh, parts).max(initial=0.0)))
+
+
+def shell_distances(mesh: trimesh.Trimesh, parts: Sequence[Floats]) -> Floats:
+    """Return distances (N,) [m] to a mesh, from points on the outer surface of its parts."""
+    rng = np.random.default_rng(0)
+    union = _union(parts)
+    shell, _, _ = sample_surface(union, _SAMPLES, rng)
+    shell = shell[~_inside(shell, [ConvexHull(part) for part in parts], -1e-5)]
+    return _distances(shell, mesh, rng)
+
+
+def _union(parts: Sequence[Floats]) -> trimesh.Trimesh:
+    hulls = [as_mesh(part) for part in parts]
+    offsets = np.cumsum([0, *(len(hull.vertices) for hull in hulls)])
+    faces = [hull.faces + offset for hull, offset in zip(hulls, offsets, strict=False)]
+    vertices = np.concatenate([hull.vertices for hull in hulls])
+    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
 
 
 def sample_surface(
@@ -138,6 +154,6 @@ def _distances(points: Floats, mesh: trimesh.Trimesh, rng: np.random.Generator) 
     cloud, owner, _ = sample_surface(mesh, _CLOUD, rng)
     _, near = cKDTree(cloud).query(points, k=4)
     repeated = np.repeat(points, 4, axis=0)
-    closest = trimesh.triangles.closest_point(mesh.triangles[owner[near].ravel()], repeated)
+    closest = _closest_point(mesh.triangles[owner[near].ravel()], repeated)
     lengths = np.linalg.norm(closest - repeated, axis=1)
     return np.asarray(lengths.reshape(-1, 4).min(axis=1))

@@ -1,5 +1,7 @@
 """Which objects can lie in a heap, and why the others cannot."""
 
+from collections.abc import Callable
+
 import numpy as np
 import trimesh
 
@@ -22,14 +24,17 @@ DENSITY = (20.0, 20_000.0)
 GROSS_ERROR = 0.02
 """Largest distance between mesh and convex parts [m] that physics can do with."""
 
-DEFORMABLE = {"059_chain": "deformable: a chain", "040_rope": "deformable: a rope"}
+DEFORMABLE = {"059_chain": "deformable: a chain"}
 """Objects that are not rigid, by name."""
+
+
+_oriented_bounds: Callable[..., tuple[Floats, Floats]] = trimesh.bounds.oriented_bounds
 
 
 def sides(points: Floats) -> Floats:
     """Return the sides (3,) [m] of the smallest box about points (N, 3), longest first."""
-    _, extents = trimesh.bounds.oriented_bounds(points)
-    return np.sort(np.asarray(extents))[::-1]
+    _, extents = _oriented_bounds(points)
+    return np.sort(extents)[::-1]
 
 
 def why_wrong_size(name: str, points: Floats) -> str:

@@ -128,7 +128,8 @@ def every(*marks: Mark) -> Mark:
 
 
 def _directions(points: Floats) -> Floats:
-    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
+    lengths = np.linalg.norm(points, axis=1, keepdims=True)
+    return np.asarray(points / np.maximum(lengths, 1e-9))
 
 
 def _axis(name: str) -> int:

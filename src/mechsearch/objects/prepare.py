@@ -1,5 +1,6 @@
 """From a mesh file and a mass to an object ready for physics and rendering."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from mechsearch.objects.archive import content_hash
 from mechsearch.objects.convex import ConvexParts, convex_parts, single_hull
+from mechsearch.objects.hashing import content_hash
 from mechsearch.objects.hull import MassProperties, as_mesh, mass_properties
 from mechsearch.objects.limits import why_wrong_mass, why_wrong_shape, why_wrong_size
 from mechsearch.objects.mesh_file import joined, read_pieces
@@ -25,6 +26,9 @@ TEXEL_ROWS = 6
 COLOUR_SAMPLES = 200_000
 FRICTION = 0.5
 """Sliding friction of an object whose own is unknown; about wood on wood."""
+
+
+_subdivide: Callable[..., tuple[Floats, NDArray[np.int64]]] = trimesh.remesh.subdivide
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,11 @@ def prepare(source: Source) -> Prepared:
     try:
         vertices, faces = simplified(mesh)
         wrong_size = why_wrong_size(source.name, np.asarray(mesh.vertices))
-        convex = single_hull(mesh) if wrong_size else convex_parts(mesh)
+        convex = (
+            single_hull(mesh)
+            if wrong_size
+            else convex_parts(mesh, trimesh.Trimesh(vertices, faces, process=False))
+        )
     except (MechSearchError, ValueError, IndexError) as error:
         raise MechSearchError(f"cannot prepare {source.name} from {source.mesh}: {error}") from None
     texels = bake_texels(vertices, faces, pieces, source.name, TEXEL_ROWS, COLOUR_SAMPLES)
@@ -101,7 +109,7 @@ def simplified(mesh: trimesh.Trimesh) -> tuple[Floats, NDArray[np.int32]]:
             target_count=MOST_FACES,
         )
     while 4 * len(faces) <= MOST_FACES:
-        vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+        vertices, faces = _subdivide(vertices, faces)
     return np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
 
 
@@ -143,6 +151,6 @@ def _model(
         friction=FRICTION,
         hull_error=convex.error,
         content_hash=content_hash(
-            vertices, faces, texels, parts, source.mass, body.inertia, FRICTION
+            source.name, vertices, faces, texels, parts, source.mass, body.inertia, FRICTION
         ),
     )

@@ -69,12 +69,12 @@ class Solid:
 def texel_weights(rows: int) -> Floats:
     """Return barycentric weights (T, 3) of the texels' centres, in the order of `ObjectModel`.
 
-    Texel (i, j) is the cell of the grid in which the weight of the second corner is i / rows and
-    that of the third is j / rows; cells on the slanted edge are triangles.
+    Texel (i, j) is the square cell of the grid where the weight of the second corner begins at
+    i / rows and that of the third at j / rows. A cell on the slanted edge is shared with the
+    triangle beyond it, so its centre lies on that edge.
     """
     cells = [(i, j) for i in range(rows) for j in range(rows - i)]
-    shift = [1 / 3 if i + j == rows - 1 else 1 / 2 for i, j in cells]
-    second, third = (np.array(cells) + np.array(shift)[:, None]).T / rows
+    second, third = (np.array(cells).T + 0.5) / rows
     return np.stack([1 - second - third, second, third], axis=1)
 
 
@@ -98,8 +98,8 @@ def skin(rings: ArrayLike, hull: ArrayLike | None = None) -> Solid:
     faces = [np.stack([np.full(size, bottom), beside, here], 1)]
     for below in range(0, last, size):
         above = below + size
-        faces.append(np.stack([below + here, below + beside, above + beside], 1))
-        faces.append(np.stack([below + here, above + beside, above + here], 1))
+        faces.append(np.stack([below + beside, above + beside, below + here], 1))
+        faces.append(np.stack([above + here, below + here, above + beside], 1))
     faces.append(np.stack([np.full(size, top), last + here, last + beside], 1))
     part = loops.reshape(-1, 3) if hull is None else np.asarray(hull, np.float64)
     return _solid(part, vertices, np.concatenate(faces))
@@ -113,14 +113,14 @@ def box(x: float, y: float, z: float, cells: int = 4) -> Solid:
     corner = row * (cells + 1) + column
     across, along = corner + cells + 1, corner + 1
     quads = np.concatenate(
-        [np.stack([corner, across, across + 1], 1), np.stack([corner, across + 1, along], 1)]
+        [np.stack([across, across + 1, corner], 1), np.stack([along, corner, across + 1], 1)]
     )
-    vertices, faces = [], []
-    for axis in range(3):
-        for side in (-0.5, 0.5):
-            grid = np.stack([np.full_like(u, side), u, v], 1)
-            faces.append((quads if side > 0 else quads[:, ::-1]) + len(u) * len(vertices))
-            vertices.append(np.roll(grid, axis, axis=1))
+    sides = [(axis, end) for axis in range(3) for end in (-0.5, 0.5)]
+    vertices = [np.roll(np.stack([np.full_like(u, end), u, v], 1), axis, 1) for axis, end in sides]
+    faces = [
+        (quads if end > 0 else quads[:, [0, 2, 1]]) + len(u) * number
+        for number, (_, end) in enumerate(sides)
+    ]
     corners = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), -1).reshape(-1, 3)
     return _solid(corners, np.concatenate(vertices), np.concatenate(faces)).scaled(x, y, z)
 
@@ -137,9 +137,10 @@ def frustum(bottom: float, top: float, height: float, sides: int = 16, bands: in
     """
     level = np.linspace(0, 1, bands + 1)[:, None, None]
     low, high = (_circle(d / 2, 2 * sides) for d in (bottom, top))
-    rings = low * (1 - level) + (high + [0, 0, height]) * level
+    lift = np.array([0.0, 0.0, height])
+    rings = low * (1 - level) + (high + lift) * level
     even = 2 / (1 + np.cos(np.pi / sides))
-    hull = [_circle(bottom / 2 * even, sides), _circle(top / 2 * even, sides) + [0, 0, height]]
+    hull = [_circle(bottom / 2 * even, sides), _circle(top / 2 * even, sides) + lift]
     return skin(rings, np.concatenate(hull))
 
 
@@ -194,15 +195,13 @@ def tube(path: ArrayLike, widths: Sequence[float], heights: Sequence[float]) -> 
         return np.concatenate([flat, up], axis=2)
 
     fine, coarse = rings(16, 1.0), rings(8, 2 / (1 + np.cos(np.pi / 8)))
-    return tuple(
-        skin(fine[k : k + 2], coarse[k : k + 2].reshape(-1, 3)) for k in range(len(steps))
-    )
+    return tuple(skin(fine[k : k + 2], coarse[k : k + 2].reshape(-1, 3)) for k in range(len(steps)))
 
 
 def shell(
     inner: Sequence[tuple[float, float]], outer: Sequence[tuple[float, float]], sectors: int
 ) -> tuple[Solid, ...]:
-    """Return the wall of a round vessel in convex sectors, flat inside and bent once outside.
+    """Return the wall of a round vessel in convex sectors, flat inside and round outside.
 
     Args:
         inner: (radius, height) [m] of the inside, bottom to top.
@@ -212,14 +211,28 @@ def shell(
     """
     section = np.array([*inner, *outer])
     half = np.pi / sectors
-    chord = np.where(np.arange(len(section)) < len(inner), np.cos(half), 1.0)
+    turns = np.linspace(-half, half, 5)
+    chord = np.cos(half) / np.cos(turns)
+    radii = section[:, 0] * np.ones((5, 1))
+    radii[:, : len(inner)] *= chord[:, None]
+    heights = np.broadcast_to(section[:, 1], radii.shape)
+
+    def sweep(middle: float) -> Floats:
+        angles = (middle + turns)[:, None]
+        return np.stack([radii * np.cos(angles), radii * np.sin(angles), heights], 2)
+
     pieces = []
     for sector in range(sectors):
-        angles = 2 * half * sector + np.array([-half, 0.0, half])
-        radii = section[:, 0] * np.stack([np.ones_like(chord), chord, np.ones_like(chord)])
-        x, y = radii * np.cos(angles)[:, None], radii * np.sin(angles)[:, None]
-        pieces.append(skin(np.stack([x, y, np.broadcast_to(section[:, 1], x.shape)], 2)))
+        rings = sweep(2 * half * sector)
+        pieces.append(skin(rings, rings[::2].reshape(-1, 3)))
     return tuple(pieces)
+
+
+def fitted(solids: Sequence[Solid], x: float, y: float, z: float) -> tuple[Solid, ...]:
+    """Return solids stretched together to fill a box of size x, y, z [m]."""
+    points = np.concatenate([solid.vertices for solid in solids])
+    factors = np.array([x, y, z]) / np.ptp(points, axis=0)
+    return tuple(solid.scaled(*factors) for solid in solids)
 
 
 def _solid(hull: Floats, vertices: Floats, faces: NDArray[np.intp]) -> Solid:
@@ -230,7 +243,9 @@ def _solid(hull: Floats, vertices: Floats, faces: NDArray[np.intp]) -> Solid:
     corners = vertices[faces] - vertices.mean(axis=0)
     outward = float(np.einsum("fd,fd->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2])) > 0
     texels = np.full((len(faces), 1, 3), _GREY, np.uint8)
-    return Solid(hull, vertices, (faces if outward else faces[:, ::-1]).astype(np.int32), texels)
+    return Solid(
+        hull, vertices, (faces if outward else faces[:, [0, 2, 1]]).astype(np.int32), texels
+    )
 
 
 def _circle(radius: float, sides: int) -> Floats:

@@ -2,16 +2,21 @@
 
 import colorsys
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from trimesh.visual import ColorVisuals, TextureVisuals
+from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from mechsearch.objects.hull import sample_surface
 from mechsearch.types import Floats
 
 Colours = NDArray[np.uint8]
+
+_to_simple: Callable[[PBRMaterial], SimpleMaterial] = PBRMaterial.to_simple
 
 
 def barycentric_grid(rows: int) -> Floats:
@@ -50,7 +55,8 @@ def bake_texels(
         return np.broadcast_to(colours[0], (len(faces), 1, 3)).copy()
     points = np.einsum("tk,fkd->ftd", barycentric_grid(rows), vertices[faces])
     _, nearest = cKDTree(cloud).query(points.reshape(-1, 3))
-    return colours[nearest].reshape(*points.shape)
+    baked: Colours = colours[nearest].reshape(*points.shape)
+    return baked
 
 
 def colour_of_name(name: str) -> Colours:
@@ -79,30 +85,36 @@ def _colours(
 ) -> Colours:
     """Return the colours (N, 3) of points on one piece."""
     visual = piece.visual
-    if visual.kind == "texture":
-        return _texture_colours(piece, face, weights, name)
-    if visual.kind == "face":
-        return np.asarray(visual.face_colors[face, :3], np.uint8)
-    if visual.kind == "vertex":
-        corners = visual.vertex_colors[piece.faces[face], :3].astype(np.float64)
+    if isinstance(visual, TextureVisuals):
+        return _texture_colours(piece, visual, face, weights, name)
+    if isinstance(visual, ColorVisuals) and visual.kind == "face":
+        flat: Colours = np.asarray(visual.face_colors, np.uint8)[face, :3]
+        return flat
+    if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
+        corners = np.asarray(visual.vertex_colors, np.float64)[piece.faces[face], :3]
         return np.round(np.einsum("nk,nkc->nc", weights, corners)).astype(np.uint8)
     return np.broadcast_to(colour_of_name(name), (len(face), 3))
 
 
 def _texture_colours(
-    piece: trimesh.Trimesh, face: NDArray[np.int64], weights: Floats, name: str
+    piece: trimesh.Trimesh,
+    visual: TextureVisuals,
+    face: NDArray[np.int64],
+    weights: Floats,
+    name: str,
 ) -> Colours:
-    material = piece.visual.material
-    if hasattr(material, "to_simple"):
-        material = material.to_simple()
-    image, uv = getattr(material, "image", None), piece.visual.uv
+    material = visual.material
+    if isinstance(material, PBRMaterial):
+        material = _to_simple(material)
+    image, uv = getattr(material, "image", None), visual.uv
     if image is None or uv is None or len(uv) != len(piece.vertices):
         main = getattr(material, "diffuse", None)
         colour = colour_of_name(name) if main is None else np.asarray(main, np.uint8)[:3]
         return np.broadcast_to(colour, (len(face), 3))
-    pixels = np.asarray(image.convert("RGB"))
+    pixels: Colours = np.asarray(image.convert("RGB"), np.uint8)
     height, width = pixels.shape[:2]
     u, v = np.einsum("nk,nkc->cn", weights, np.asarray(uv)[piece.faces[face]])
     column = np.floor(u * width).astype(np.int64) % width
     row = np.floor((1 - v) * height).astype(np.int64) % height
-    return np.asarray(pixels[row, column])
+    picked: Colours = pixels[row, column]
+    return picked

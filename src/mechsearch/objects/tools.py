@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from mechsearch.objects.paint import band, every, layers, panel, plain, window
-from mechsearch.objects.primitives import Solid, box, cylinder, frustum, prism, tube
+from mechsearch.objects.paint import band, layers, panel, plain, window
+from mechsearch.objects.primitives import Solid, box, cylinder, fitted, frustum, prism, shell, tube
 
 Solids = Sequence[Solid]
 
@@ -13,9 +13,9 @@ BRASS = "c9a24a"
 
 
 def _handle(colour: str) -> Solids:
-    """Return the handle of cutlery along x, from -0.100 to 0.012 m, seen from above."""
+    """Return the handle of cutlery along x, from -0.100 to 0.024 m, two pieces arched upwards."""
     grip = tube(
-        [(-0.100, 0.004), (-0.050, 0.007), (0.012, 0.003)],
+        [(-0.100, 0.004), (-0.050, 0.007), (0.024, 0.003)],
         [0.007, 0.008, 0.005],
         [0.015, 0.014, 0.007],
     )
@@ -31,42 +31,47 @@ def fork() -> Solids:
     palm = [(0.010, -0.003), (0.040, -0.010), (0.052, -0.010)]
     blade = _upright([*palm, *((x, -y) for x, y in palm[::-1])], 0.001, 0.004)
     prongs = [box(0.050, 0.004, 0.003, 1).moved(0.073, y, 0.003) for y in (-0.008, 0.0, 0.008)]
-    return (*_handle("3a6ea5"), blade, *(prong.painted(plain(STEEL)) for prong in prongs))
+    head = [blade, *(prong.painted(plain(STEEL)) for prong in prongs)]
+    return fitted([*_handle("3a6ea5"), *head], 0.198, 0.024, 0.014)
 
 
 def knife() -> Solids:
     """Return a table knife of 215 mm."""
     edge = [(0.008, -0.006), (0.095, -0.010), (0.112, -0.004), (0.115, 0.008), (0.008, 0.006)]
-    return (*_handle("3a6ea5"), _upright(edge, 0.001, 0.003))
+    return fitted([*_handle("3a6ea5"), _upright(edge, 0.001, 0.003)], 0.215, 0.020, 0.014)
 
 
 def spoon() -> Solids:
-    """Return a spoon of 195 mm whose bowl is a hollow of six pieces."""
-    rim = [(0.010, 0.004), (0.040, 0.020), (0.075, 0.020), (0.095, 0.004)]
-    del rim
-    return ()
+    """Return a spoon of 195 mm with a hollow bowl of six pieces."""
+    steel = plain(STEEL)
+    wall = shell(
+        [(0.006, 0.002), (0.0185, 0.0105)], [(0.020, 0.0105), (0.015, 0.003), (0.007, 0.0)], 6
+    )
+    hollow = [*wall, cylinder(0.014, 0.0025, 6, 1)]
+    head = [piece.scaled(x=1.75).moved(0.060, z=-0.006).painted(steel) for piece in hollow]
+    return fitted([*_handle("3a6ea5"), *head], 0.195, 0.040, 0.020)
 
 
 def scissors() -> Solids:
     """Return open scissors of 200 x 87 mm: two blades and two loops."""
-    loop = [(-0.012, -0.004), (-0.050, -0.012), (-0.088, -0.010), (-0.096, -0.030)]
-    back = [(-0.096, -0.030), (-0.075, -0.042), (-0.045, -0.034), (-0.026, -0.012)]
-    rings = [
-        piece.painted(plain("d9541e"))
-        for path in (loop, back)
-        for piece in tube(path, [0.009] * len(path), [0.009] * len(path))
-    ]
+    loop = [(-0.016, -0.006), (-0.060, -0.005), (-0.095, -0.018), (-0.088, -0.040)]
+    loop += [(-0.048, -0.034), (-0.020, -0.009)]
+    rings = [piece.painted(plain("d9541e")) for piece in tube(loop, [0.009] * 6, [0.009] * 6)]
     blade = prism([(-0.022, -0.009), (0.030, -0.004), (0.102, 0.010), (0.030, 0.012)], 0.0035)
     lower = [blade.painted(plain(STEEL)).moved(z=-0.0035), *rings]
     pivot = cylinder(0.010, 0.010, 8, 1).moved(0.0, 0.0, -0.005).painted(plain(DARK))
-    return (*lower, *(piece.turned("x", 180) for piece in lower), pivot)
+    return fitted(
+        [*lower, *(piece.turned("x", 180) for piece in lower), pivot], 0.200, 0.087, 0.014
+    )
 
 
 def screwdriver(colour: str, flat: bool) -> Solids:
     """Return a screwdriver of 215 mm with a cross or a flat tip."""
     grip = layers(colour, *((window(30 * k, 8, 0.012, 0.080, 1), DARK) for k in range(12)))
     steel = plain(STEEL)
-    tip = box(0.008, 0.002, 0.012, 1) if flat else frustum(0.006, 0.002, 0.012, 6, 1).moved(z=-0.006)
+    tip = (
+        box(0.008, 0.002, 0.012, 1) if flat else frustum(0.006, 0.002, 0.012, 6, 1).moved(z=-0.006)
+    )
     return (
         frustum(0.026, 0.031, 0.060, 12).painted(grip),
         frustum(0.031, 0.022, 0.032, 12).painted(plain(colour)).moved(z=0.060),
@@ -93,11 +98,14 @@ def wrench() -> Solids:
 
 def drill() -> Solids:
     """Return a cordless drill of 187 x 184 x 57 mm."""
-    shell = layers("d8472b", (band("z", 0.0, 0.016), DARK), (band("z", 0.098, 0.118), DARK))
+    body = layers("d8472b", (band("z", 0.0, 0.016), DARK), (band("z", 0.098, 0.118), DARK))
     grip = [(-0.030, 0.026), (0.006, 0.026), (0.000, 0.140), (-0.044, 0.140)]
     return (
-        cylinder(0.057, 0.118).painted(shell).turned("y", 90).moved(-0.072, 0, 0.1555),
-        frustum(0.042, 0.022, 0.070, 12).painted(plain(DARK)).turned("y", 90).moved(0.045, 0, 0.1555),
+        cylinder(0.057, 0.118).painted(body).turned("y", 90).moved(-0.072, 0, 0.1555),
+        frustum(0.042, 0.022, 0.070, 12)
+        .painted(plain(DARK))
+        .turned("y", 90)
+        .moved(0.045, 0, 0.1555),
         prism(grip, 0.036).moved(z=-0.018).turned("x", 90).painted(plain(DARK)),
         box(0.082, 0.056, 0.030, 2).moved(0.0, 0.0, 0.015).painted(plain("d8472b")),
     )
@@ -107,12 +115,20 @@ def padlock() -> Solids:
     """Return a closed padlock of 65 x 47 x 24 mm."""
     face = layers(BRASS, (panel("z", (-0.012, 0.012), (-0.026, -0.012)), DARK))
     shackle = tube(
-        [(-0.016, 0.004), (-0.016, 0.016), (-0.009, 0.027), (0.009, 0.027), (0.016, 0.016), (0.016, 0.004)],
+        [
+            (-0.016, 0.004),
+            (-0.016, 0.016),
+            (-0.009, 0.027),
+            (0.009, 0.027),
+            (0.016, 0.016),
+            (0.016, 0.004),
+        ],
         [0.008] * 6,
         [0.008] * 6,
     )
     body = box(0.047, 0.038, 0.024).moved(y=-0.014).painted(face)
-    return (body, *(piece.painted(plain("c9ccd1")) for piece in shackle))
+    bright = [piece.painted(plain("c9ccd1")) for piece in shackle]
+    return fitted([body, *bright], 0.047, 0.065, 0.024)
 
 
 def clamp(length: float, width: float, thick: float) -> Solids:
@@ -128,7 +144,8 @@ def clamp(length: float, width: float, thick: float) -> Solids:
     grip = layers(DARK, (band("x", -length, -0.30 * length), "e8641b"))
     upper = [piece.painted(grip) for piece in side]
     pivot = cylinder(2.2 * arm, 0.9 * thick, 10, 1).moved(0.02 * length, 0, -0.45 * thick)
-    return (*upper, *(piece.turned("x", 180) for piece in upper), pivot.painted(plain(STEEL)))
+    lower = [piece.turned("x", 180) for piece in upper]
+    return fitted([*upper, *lower, pivot.painted(plain(STEEL))], length, width, thick)
 
 
 def marker(diameter: float, length: float, colour: str) -> Solids:

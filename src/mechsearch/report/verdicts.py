@@ -14,7 +14,7 @@ from mechsearch.evaluation.metrics import (
     paired_difference,
 )
 from mechsearch.report.tables import Table, cell, number
-from mechsearch.types import MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
 PASSIVE = ("random", "idle")
 TEACHER_PREFIX = "teacher-"
@@ -120,8 +120,8 @@ def verdict_table(
         verdicts = compare(ours, theirs, evaluations)
         marks.append([verdict.outcome for verdict in verdicts])
         cells = [signs[v.outcome] + cell(v.metric, v.difference, signed=True) for v in verdicts]
-        rows.append((f"against {theirs}", *cells))
-    columns = ("", *(_DIFFERENCES[metric] for metric in METRICS))
+        rows.append((theirs, *cells))
+    columns = ("against", *(_DIFFERENCES[metric] for metric in METRICS))
     caption = f"{ours} minus each other policy: ▲ better, ▼ worse, ≈ no clear difference"
     return Table(caption, columns, tuple(rows)), marks
 
@@ -172,15 +172,15 @@ def _require_same_heaps(evaluations: Mapping[str, Evaluation]) -> None:
             )
 
 
-def _values(evaluation: Evaluation, metric: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _values(evaluation: Evaluation, metric: str) -> Floats:
     """Return one metric of every episode, in the order of the heaps' seeds."""
     ordered = sorted(evaluation.episodes, key=lambda record: (record.condition, record.heap_seed))
     return np.array([measure(record)[metric] for record in ordered])
 
 
 def _ratio(
-    numerator: np.ndarray[tuple[int], np.dtype[np.float64]],
-    denominator: np.ndarray[tuple[int], np.dtype[np.float64]],
+    numerator: Floats,
+    denominator: Floats,
     samples: int = 4000,
 ) -> tuple[float, float, float]:
     """Return a ratio of means over heaps with its bootstrap percentile interval (seed 0)."""

@@ -14,8 +14,6 @@ from mechsearch.types import Array, Floats
 ENGINE_VERSION = str(mujoco.__version__)
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _AWAY = np.array([0.0, 0.0, 5.0])
-WALL_RADIUS = 0.11
-"""Inner radius of the wall that confines a heap while it drops [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +37,21 @@ class PhysicsConfig:
     explosion_speed: float = 8.0
 
 
+@dataclass(frozen=True)
+class Wall:
+    """A vertical cylinder that confines a heap while it drops.
+
+    Attributes:
+        x: Centre [m].
+        y: Centre [m].
+        radius: Inner radius [m].
+    """
+
+    x: float
+    y: float
+    radius: float
+
+
 class World:
     """Objects on a table, and a pusher or a confining wall."""
 
@@ -47,7 +60,7 @@ class World:
         models: Sequence[ObjectModel],
         workspace: Workspace | None = None,
         pusher: Pusher | None = None,
-        walls: Sequence[tuple[float, float]] = (),
+        walls: Sequence[Wall] = (),
         config: PhysicsConfig | None = None,
     ) -> None:
         """Compile a scene.
@@ -56,7 +69,7 @@ class World:
             models: The objects, in the order of all poses.
             workspace: Table and bounds.
             pusher: The end effector, or None for a world without one.
-            walls: Centre (x, y) [m] of each confining wall.
+            walls: Confining walls.
             config: Numerical choices.
         """
         self.config = config or PhysicsConfig()
@@ -185,7 +198,7 @@ def _compile(
     models: Sequence[ObjectModel],
     workspace: Workspace,
     pusher: Pusher | None,
-    walls: Sequence[tuple[float, float]],
+    walls: Sequence[Wall],
     config: PhysicsConfig,
 ) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
@@ -210,8 +223,8 @@ def _compile(
     floor.pos = [0.0, 0.0, workspace.floor]
     if pusher is not None:
         _add_pusher(spec, pusher)
-    for i, centre in enumerate(walls):
-        _add_wall(spec, i, centre)
+    for i, wall in enumerate(walls):
+        _add_wall(spec, i, wall)
     return spec.compile()
 
 
@@ -235,8 +248,8 @@ def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
         geom = body.add_geom()
         geom.type = mujoco.mjtGeom.mjGEOM_MESH
         geom.meshname = mesh.name
-        geom.friction = [model.friction, 0.005, 0.0001]
-        geom.condim = 4
+        geom.friction = [model.friction, 0.005, 0.001]
+        geom.condim = 6
 
 
 def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
@@ -272,18 +285,19 @@ def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
     geom.friction = [pusher.friction, 0.005, 0.0001]
 
 
-def _add_wall(spec: mujoco.MjSpec, index: int, centre: tuple[float, float], sides: int = 12) -> None:
+def _add_wall(spec: mujoco.MjSpec, index: int, wall: Wall, sides: int = 16) -> None:
     body = spec.worldbody.add_body()
     body.name = f"wall{index}"
     body.mocap = True
-    body.pos = [*centre, 0.0]
-    middle = WALL_RADIUS + 0.02
-    half_width = 1.1 * (middle + 0.02) * np.tan(np.pi / sides)
+    body.pos = [wall.x, wall.y, 0.0]
+    middle = wall.radius + 0.01
+    half_width = 1.1 * (middle + 0.01) * np.tan(np.pi / sides)
     for i in range(sides):
         angle = 2 * np.pi * i / sides
         geom = body.add_geom()
         geom.type = mujoco.mjtGeom.mjGEOM_BOX
-        geom.size = [0.02, half_width, 0.5]
+        geom.size = [0.01, half_width, 0.5]
         geom.pos = [middle * np.cos(angle), middle * np.sin(angle), 0.5]
         geom.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
-        geom.friction = [0.1, 0.005, 0.0001]
+        geom.friction = [0.05, 0.005, 0.0001]
+        geom.priority = 1

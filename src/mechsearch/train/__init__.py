@@ -1,1 +1,1 @@
-"""TODO"""
+"""Training runs: configuration, the loop, imitation, and the run directory they write."""

@@ -1,0 +1,52 @@
+"""Object sets by name or folder."""
+
+from pathlib import Path
+
+from mechsearch.objects.cache import cache_folder
+from mechsearch.objects.folder import load_folder
+from mechsearch.objects.household import household
+from mechsearch.objects.model import ObjectSet
+from mechsearch.types import MechSearchError
+
+
+def load_object_set(spec: str | Path, workers: int | None = None) -> ObjectSet:
+    """Return an object set.
+
+    Args:
+        spec: "household" (built in), "ycb" (downloaded before), or a folder of meshes.
+        workers: Processes that prepare objects not in the cache; one for each processor by
+            default.
+
+    Raises:
+        MechSearchError: If there is no such set or it cannot be prepared.
+    """
+    if spec == "household":
+        return household()
+    if spec == "ycb":
+        return _ycb(workers)
+    folder = Path(spec).expanduser()
+    if not folder.exists():
+        raise MechSearchError(
+            f"no object set {str(spec)!r}; choose household, ycb, or a folder of meshes with masses"
+        )
+    return load_folder(folder, workers=workers)
+
+
+def set_hashes(objects: ObjectSet) -> dict[str, str]:
+    """Return the content hash of each object in a set, by name."""
+    return {name: model.content_hash for name, model in objects.models.items()}
+
+
+def ycb_folder() -> Path:
+    """Return where downloaded YCB objects are kept."""
+    return cache_folder() / "ycb"
+
+
+def _ycb(workers: int | None) -> ObjectSet:
+    folder = ycb_folder()
+    if not any(folder.glob("*/google_16k/textured.obj")):
+        raise MechSearchError(
+            f"no YCB objects at {folder}; run `mechsearch assets pull ycb`, or pass the folder of "
+            "a copy in the official layout (NNN_name/google_16k/textured.obj)"
+        )
+    return load_folder(folder, name="ycb", workers=workers, need_masses=False)

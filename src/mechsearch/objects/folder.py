@@ -1,0 +1,98 @@
+"""An object set from any folder of meshes with masses."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from mechsearch.objects.masses import Entry, read_masses, ycb_masses
+from mechsearch.objects.mesh_file import SUFFIXES
+from mechsearch.objects.model import ObjectSet
+from mechsearch.objects.parallel import prepare_all
+from mechsearch.objects.prepare import Source
+from mechsearch.types import MechSearchError
+
+SCAN = Path("google_16k", "textured.obj")
+"""Where the official YCB download keeps the mesh of an object."""
+
+_LAYOUTS = (
+    "expected YCB objects (NNN_name/google_16k/textured.obj) or mesh files (*.obj, *.stl, *.glb), "
+    "with a masses.csv (object,mass_kg)"
+)
+
+
+def load_folder(
+    folder: Path, name: str | None = None, workers: int | None = None, need_masses: bool = True
+) -> ObjectSet:
+    """Return the set of all objects in a folder, prepared or from the cache.
+
+    Two layouts are known: the official YCB download, and mesh files side by side. Masses come
+    from a `masses.csv` in the folder or, for YCB objects, from the published table.
+
+    Args:
+        folder: Where the meshes are.
+        name: Of the set; the folder's own by default.
+        workers: Processes that prepare objects; as many as there are processors by default.
+        need_masses: Whether an object without a mass is an error; else it is left out.
+
+    Raises:
+        MechSearchError: If the folder is missing, has no objects, lacks masses, has a mesh that
+            cannot be read, or no object in it can lie in a heap.
+    """
+    meshes = find_meshes(folder)
+    table = folder / "masses.csv"
+    masses = {**ycb_masses(), **(read_masses(table) if table.exists() else {})}
+    missing = [item for item in meshes if item not in masses]
+    if missing and need_masses:
+        raise MechSearchError(
+            f"no mass for {', '.join(missing)} of {folder}; expected a row object,mass_kg for each "
+            f"in {table}"
+        )
+    excluded = dict.fromkeys(missing, "no published mass")
+    sources = _sources(meshes, masses)
+    models = {}
+    for source, done in zip(sources, prepare_all(sources, workers), strict=True):
+        if done.excluded:
+            excluded[source.name] = done.excluded
+        else:
+            models[source.name] = done.model
+    if not models:
+        reasons = "; ".join(f"{item}: {why}" for item, why in list(excluded.items())[:5])
+        raise MechSearchError(f"no object of {folder} can lie in a heap ({reasons})")
+    return ObjectSet(name or folder.resolve().name, models, dict(sorted(excluded.items())))
+
+
+def find_meshes(folder: Path) -> dict[str, Path]:
+    """Return the mesh file of each object in a folder, sorted by object name.
+
+    Raises:
+        MechSearchError: If the folder is missing, is no folder, or holds no or two of an object.
+    """
+    if not folder.is_dir():
+        state = "is not a folder" if folder.exists() else "does not exist"
+        raise MechSearchError(f"the object folder {folder} {state}; {_LAYOUTS}")
+    scans = {path.parent.parent.name: path for path in folder.glob(f"*/{SCAN.as_posix()}")}
+    if scans:
+        return dict(sorted(scans.items()))
+    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    if not files:
+        raise MechSearchError(f"the object folder {folder} holds no objects; {_LAYOUTS}")
+    return dict(sorted(_by_stem(files).items()))
+
+
+def _by_stem(paths: Iterable[Path]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in sorted(paths):
+        other = found.setdefault(path.stem, path)
+        if other != path:
+            raise MechSearchError(
+                f"{other.name} and {path.name} in {path.parent} name the same object "
+                f"{path.stem!r}; expected one mesh for each"
+            )
+    return found
+
+
+def _sources(meshes: Mapping[str, Path], masses: Mapping[str, Entry]) -> list[Source]:
+    return [
+        Source(name, masses[name].category, path, masses[name].mass)
+        for name, path in meshes.items()
+        if name in masses
+    ]

@@ -1,0 +1,70 @@
+"""Parts of a run from a heap set: environment, teachers and evaluators."""
+
+from dataclasses import dataclass, replace
+
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.evaluation.metrics import score
+from mechsearch.evaluation.rollout import run
+from mechsearch.heaps.dataset import HeapSet
+from mechsearch.objects.model import ObjectSet
+from mechsearch.teachers import make_teachers
+from mechsearch.train.config import TrainConfig
+from mechsearch.train.demonstrations import evenly_spread
+from mechsearch.train.session import Evaluator, Parts
+from mechsearch.types import MechSearchError, Policy
+
+
+@dataclass(frozen=True)
+class HeapEvaluator:
+    """Scores a policy on some heaps, from each heap's own start.
+
+    Attributes:
+        env: The task, with the actor's observations only.
+        heaps: Indices of the heaps.
+    """
+
+    env: HeapEnv
+    heaps: tuple[int, ...]
+
+    def __call__(self, policy: Policy) -> dict[str, float]:
+        """Return the mean of every metric."""
+        records = run(policy, self.env, self.heaps)
+        return {name: estimate.mean for name, estimate in score(records).items()}
+
+
+def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Parts:
+    """Return the parts of a run on the training heaps of a set.
+
+    Validation heaps are taken out of the training heaps, evenly over the object counts, the same
+    ones for every configuration. Held-out heaps are watched only where the configuration asks.
+
+    Raises:
+        MechSearchError: If the set has too few heaps.
+    """
+    training = [i for i, heap in enumerate(heap_set.heaps) if not heap.held_out]
+    held_out = [i for i, heap in enumerate(heap_set.heaps) if heap.held_out]
+    validation = _some(training, config.validation_heaps, "validation")
+    watched = _some(held_out, config.held_out_heaps, "held-out")
+    learnt = [i for i in training if i not in set(validation)]
+    if not learnt:
+        raise MechSearchError(
+            f"{len(training)} training heaps, of which {len(validation)} are kept for validation, "
+            "leave none to learn on"
+        )
+    teachers = make_teachers()
+    task = HeapEnvConfig(keys=config.actor_keys, camera=config.camera, image_size=config.image_size)
+    env = HeapEnv(heap_set.heaps, objects, replace(task, privileged=True))
+    quiet = HeapEnv(heap_set.heaps, objects, task)
+    sets = {"validation": validation, "held_out": watched}
+    evaluators: dict[str, Evaluator] = {
+        name: HeapEvaluator(quiet, tuple(heaps)) for name, heaps in sets.items() if heaps
+    }
+    return Parts(env, learnt, {name: teachers[name] for name in config.teachers}, evaluators)
+
+
+def _some(heaps: list[int], count: int, what: str) -> list[int]:
+    if count > len(heaps):
+        raise MechSearchError(
+            f"{count} {what} heaps asked for; the set has {len(heaps)} to take them from"
+        )
+    return [heaps[i] for i in evenly_spread(len(heaps), count)]

@@ -1,0 +1,81 @@
+"""Checkpoints of a run: everything that going on needs, in one file, the last two kept."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from mechsearch.agent.networks import Actor
+from mechsearch.agent.policy import ACTOR_FILE, save_actor
+from mechsearch.agent.weights import Archive, load_archive, save_archive
+from mechsearch.train.config import TrainConfig, load_config, save_config
+from mechsearch.types import MechSearchError
+
+KIND = "mechsearch checkpoint"
+CONFIG_FILE = "config.json"
+_KEPT = 2
+
+
+class RunDirectory:
+    """A run's files: `config.json`, `checkpoints/`, `actors/` and `actor.safetensors`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def open(self, config: TrainConfig, resume: bool) -> Archive | None:
+        """Prepare the directory; return the last checkpoint when resuming.
+
+        Raises:
+            MechSearchError: If it holds a run and `resume` is off, or a run of another
+                configuration (its length may differ).
+        """
+        file = self.path / CONFIG_FILE
+        if not file.exists():
+            save_config(config, file)
+            return None
+        if not resume:
+            raise MechSearchError(f"{self.path} holds a run already; resume it or name another")
+        _check_same(load_config(file), config, self.path)
+        save_config(config, file)
+        found = self._checkpoints()
+        return load_archive(found[-1], KIND) if found else None
+
+    def save(self, step: int, tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> None:
+        """Write a checkpoint and drop all but the last two."""
+        path = self.path / "checkpoints" / f"step-{step:08d}.safetensors"
+        save_archive(path, Archive(KIND, tensors, meta))
+        for old in self._checkpoints()[:-_KEPT]:
+            old.unlink()
+
+    def save_actor(self, step: int, actor: Actor, training_actions: int) -> None:
+        """Write the actor as it is now, both by step and as the run's last."""
+        for path in (f"actors/step-{step:08d}.safetensors", ACTOR_FILE):
+            save_actor(actor, self.path / path, training_actions)
+
+    def _checkpoints(self) -> list[Path]:
+        return sorted((self.path / "checkpoints").glob("step-*.safetensors"))
+
+
+def _check_same(stored: TrainConfig, given: TrainConfig, path: Path) -> None:
+    before, after = asdict(replace(stored, actions=given.actions)), asdict(given)
+    differing = [name for name in after if before[name] != after[name]]
+    if differing:
+        name = differing[0]
+        raise MechSearchError(
+            f"{path} holds a run with another {', '.join(differing)}: {name} was {before[name]} "
+            f"and is {after[name]}; only actions may change"
+        )
+
+
+def generator_state(rng: np.random.Generator) -> str:
+    """Return a NumPy generator's state as text."""
+    return json.dumps(rng.bit_generator.state)
+
+
+def restore_generator(rng: np.random.Generator, state: str) -> None:
+    """Set a NumPy generator to a state from `generator_state`."""
+    rng.bit_generator.state = json.loads(state)

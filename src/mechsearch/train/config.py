@@ -1,0 +1,214 @@
+"""What a training run is made of, and the named settings of the paper's comparison."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from mechsearch.agent.cloner import ClonerConfig
+from mechsearch.agent.ddpg import LearnerConfig
+from mechsearch.agent.exploration import NoiseConfig
+from mechsearch.agent.guidance import GuidanceConfig
+from mechsearch.agent.records import record_from_json
+from mechsearch.runs import read_json, write_json
+from mechsearch.teachers import TEACHERS
+from mechsearch.types import (
+    ACTOR_KEYS,
+    PRIVILEGED_KEYS,
+    RGB_ACTOR_KEYS,
+    MechSearchError,
+)
+
+CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
+"""What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
+
+
+@dataclass(frozen=True)
+class ImitationConfig:
+    """Imitation of a look-ahead expert, and then of its corrections (DAgger).
+
+    Attributes:
+        updates: Gradient steps on the demonstrations; 0 is no imitation.
+        demonstrations: Heaps to read demonstrations of; 0 takes all.
+        validation_share: Share of these heaps kept apart to measure the imitation.
+        corrected_actions: Actions of actor and expert executed to collect corrections.
+        longest_lead: Most actions of the actor before the expert takes over.
+        updates_per_action: Gradient steps for each of these actions.
+        corrected_rate: Learning rate then, as a share of the highest.
+        cloner: How the actions are imitated.
+    """
+
+    updates: int = 0
+    demonstrations: int = 0
+    validation_share: float = 0.05
+    corrected_actions: int = 0
+    longest_lead: int = 25
+    updates_per_action: float = 0.5
+    corrected_rate: float = 0.1
+    cloner: ClonerConfig = field(default_factory=ClonerConfig)
+
+    def __post_init__(self) -> None:
+        numbers = (self.updates, self.demonstrations, self.corrected_actions, self.longest_lead)
+        if min(numbers) < 0:
+            raise MechSearchError(f"imitation has a negative number among {numbers}")
+        if not 0 <= self.validation_share < 1:
+            raise MechSearchError(
+                f"validation_share is {self.validation_share}; expected a share in [0, 1)"
+            )
+        if self.corrected_actions and not self.updates:
+            raise MechSearchError("corrections need imitation first: updates is 0")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run.
+
+    Attributes:
+        name: Variant, such as "method".
+        seed: Of everything random.
+        actions: Actions executed while learning (paper: 8,000).
+        actor_keys: What the actor sees.
+        critic_keys: What the critic sees; the actor's keys make it symmetric.
+        teachers: Who guides, of "straight", "zigzag" and "spiral"; empty is unguided.
+        updates_per_action: Gradient steps for each action.
+        warmup: Actions before the first update.
+        replay_rows: Most frames kept.
+        evaluate_every: Actions (in imitation: updates) between evaluations.
+        checkpoint_every: Likewise between checkpoints, which wait for the end of an episode.
+        validation_heaps: Training heaps set apart to watch the learning.
+        held_out_heaps: Held-out heaps to log a curve on; they choose nothing.
+        threads: CPU threads; other numbers give other bits.
+        camera: View of all images: "overhead" or "tilted".
+        image_size: Side of the images [px].
+        learner: The updates.
+        guidance: The choice among actor and teachers.
+        noise: Exploration of the actor.
+        imitation: Imitation instead of reinforcement, where its updates are not 0.
+    """
+
+    name: str = "method"
+    seed: int = 0
+    actions: int = 8000
+    actor_keys: tuple[str, ...] = ACTOR_KEYS
+    critic_keys: tuple[str, ...] = CRITIC_KEYS
+    teachers: tuple[str, ...] = tuple(TEACHERS)
+    updates_per_action: float = 0.5
+    warmup: int = 300
+    replay_rows: int = 20_000
+    evaluate_every: int = 1000
+    checkpoint_every: int = 1000
+    validation_heaps: int = 20
+    held_out_heaps: int = 0
+    threads: int = 1
+    camera: str = "overhead"
+    image_size: int = 64
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("actions", "warmup", "validation_heaps", "held_out_heaps"):
+            _at_least(name, getattr(self, name), 0)
+        for name in ("replay_rows", "evaluate_every", "checkpoint_every", "threads"):
+            _at_least(name, getattr(self, name), 1)
+        if self.updates_per_action < 0:
+            raise MechSearchError(
+                f"updates_per_action is {self.updates_per_action}; expected at least 0"
+            )
+        self._check_roles()
+        self._check_symmetry()
+
+    def _check_roles(self) -> None:
+        unknown = [name for name in self.teachers if name not in TEACHERS]
+        if unknown:
+            raise MechSearchError(
+                f"unknown teacher {unknown[0]!r}; choose among {', '.join(TEACHERS)}"
+            )
+        if not self.actor_keys or not self.critic_keys:
+            raise MechSearchError("actor and critic need at least one observation key each")
+        seen = [key for key in self.actor_keys if key in PRIVILEGED_KEYS]
+        if seen:
+            raise MechSearchError(
+                f"the actor must not see {seen[0]!r}: it is known to a simulator only"
+            )
+        if self.teachers and not self.learner.dropout:
+            raise MechSearchError(
+                "teachers need a Bayesian critic to choose by: dropout is 0; expected more, "
+                "or no teachers"
+            )
+        if self.imitation.updates and self.actions:
+            raise MechSearchError(
+                f"a run imitates or reinforces: imitation has {self.imitation.updates} updates "
+                f"and actions is {self.actions}; set one of them to 0"
+            )
+
+    def _check_symmetry(self) -> None:
+        turned = self.learner.symmetry or (
+            self.imitation.updates > 0 and self.imitation.cloner.symmetry
+        )
+        if turned and self.camera != "overhead":
+            raise MechSearchError(
+                f"symmetry needs the overhead camera; the camera is {self.camera!r}"
+            )
+
+
+def _at_least(name: str, value: int, least: int) -> None:
+    if value < least:
+        raise MechSearchError(f"{name} is {value}; expected at least {least}")
+
+
+def _presets() -> Mapping[str, TrainConfig]:
+    method = TrainConfig()
+    ordinary = replace(method.learner, dropout=0.0, samples=1)
+    variants = {
+        "method": method,
+        "ddpg": replace(method, teachers=(), critic_keys=ACTOR_KEYS, learner=ordinary),
+        "no-teachers": replace(method, teachers=()),
+        "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
+        "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
+        "plus": replace(
+            method,
+            actions=0,
+            teachers=(),
+            imitation=ImitationConfig(updates=6000, corrected_actions=8000),
+        ),
+        "debug": replace(
+            method,
+            actions=120,
+            warmup=20,
+            evaluate_every=60,
+            checkpoint_every=60,
+            validation_heaps=2,
+            learner=replace(method.learner, batch=8, samples=5),
+        ),
+    }
+    return {name: replace(config, name=name) for name, config in variants.items()}
+
+
+PRESETS = _presets()
+"""The method, its baseline and ablations (paper, section IV), `plus` (imitation), and `debug`."""
+
+
+def preset_config(name: str) -> TrainConfig:
+    """Return a named configuration.
+
+    Raises:
+        MechSearchError: If there is no such preset.
+    """
+    if name not in PRESETS:
+        raise MechSearchError(f"unknown variant {name!r}; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def save_config(config: TrainConfig, path: Path) -> None:
+    """Write a configuration as JSON."""
+    write_json(path, asdict(config))
+
+
+def load_config(path: Path) -> TrainConfig:
+    """Read a configuration.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged, or has unknown fields.
+    """
+    return record_from_json(TrainConfig, read_json(path, "training configuration"))

@@ -1,0 +1,75 @@
+"""Hand-computed rewards (paper, section III-A)."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mechsearch.env.reward import RewardConfig, terms, uncovering_gain
+from mechsearch.types import MechSearchError
+
+CONFIG = RewardConfig()
+unit = st.floats(0, 1)
+
+
+def test_halving_the_occlusion_earns_half_of_two_and_a_half():
+    reward = terms(0.6, 0.3, np.array([0.04, 0.0]), 0.0, False, CONFIG)
+    assert reward.uncovering == pytest.approx(1.25)
+    assert reward.clutter_movement == 0.0
+    assert reward.total == pytest.approx(1.25 - 0.5)
+
+
+def test_moving_clutter_without_uncovering_costs_75_a_mean_metre():
+    reward = terms(0.5, 0.5, np.array([0.02, 0.0, 0.01, 0.0]), 0.0, False, CONFIG)
+    assert reward.clutter_movement == pytest.approx(-75 / 4 * 0.03)
+
+
+def test_a_gain_of_five_percent_excuses_and_a_smaller_one_does_not():
+    moved = np.array([0.02])
+    assert terms(0.4, 0.38, moved, 0.0, False, CONFIG).clutter_movement == 0.0
+    assert terms(0.4, 0.381, moved, 0.0, False, CONFIG).clutter_movement == pytest.approx(-1.5)
+
+
+def test_moving_the_target_is_never_excused():
+    reward = terms(0.4, 0.0, np.array([0.0]), 0.03, False, CONFIG)
+    assert reward.target_movement == pytest.approx(-2.25)
+    assert reward.uncovering == pytest.approx(2.5)
+
+
+def test_leaving_the_workspace_costs_half_a_point():
+    assert terms(0.4, 0.4, np.zeros(2), 0.0, True, CONFIG).workspace == -0.5
+    assert terms(0.4, 0.4, np.zeros(2), 0.0, False, CONFIG).workspace == 0.0
+
+
+def test_idleness_may_be_charged_only_when_nothing_moved():
+    option = RewardConfig(idle_when="nothing moved")
+    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, option).idleness == 0.0
+    assert terms(0.4, 0.4, np.array([0.0005]), 0.0, False, option).idleness == -0.5
+    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, CONFIG).idleness == -0.5
+
+
+def test_the_gain_is_relative_above_the_least_occlusion_and_clipped():
+    assert uncovering_gain(0.5, 0.4, 0.02) == pytest.approx(0.2)
+    assert uncovering_gain(0.01, 0.0, 0.02) == pytest.approx(0.5)
+    assert uncovering_gain(0.02, 1.0, 0.02) == -1.0
+
+
+@given(unit, unit, st.lists(st.floats(0, 0.1), min_size=1, max_size=14), st.floats(0, 0.1))
+def test_no_penalty_is_ever_positive_and_the_total_is_the_sum(before, after, clutter, target):
+    reward = terms(before, after, np.array(clutter), target, True, CONFIG)
+    penalties = (reward.clutter_movement, reward.target_movement, reward.workspace, reward.idleness)
+    assert all(p <= 0 for p in penalties)
+    assert -2.5 <= reward.uncovering <= 2.5
+    assert reward.total == pytest.approx(reward.uncovering + sum(penalties))
+
+
+@given(unit, unit)
+def test_uncovering_and_covering_again_never_pays(before, between):
+    there = uncovering_gain(before, between, 0.02)
+    back = uncovering_gain(between, before, 0.02)
+    assert there + back <= 1e-9
+
+
+def test_an_unknown_idleness_rule_is_named():
+    with pytest.raises(MechSearchError, match="sometimes"):
+        RewardConfig(idle_when="sometimes")
