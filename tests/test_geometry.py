@@ -21,7 +21,9 @@ seeds = st.integers(0, 2**32 - 1)
 def test_rotation_matrices_agree_with_scipy(seed):
     q = random_quaternion(np.random.default_rng(seed))
     np.testing.assert_allclose(
-        rotation_from_quaternion(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12
+        rotation_from_quaternion(q),
+        Rotation.from_quat(q, scalar_first=True).as_matrix(),
+        atol=1e-12,
     )
 
 
@@ -41,7 +43,9 @@ def test_an_inverse_undoes_a_transform(seed):
     rng = np.random.default_rng(seed)
     transform = transform_from_pose([*rng.normal(size=3), *random_quaternion(rng)])
     points = rng.normal(size=(5, 3))
-    np.testing.assert_allclose(apply(invert(transform), apply(transform, points)), points, atol=1e-12)
+    np.testing.assert_allclose(
+        apply(invert(transform), apply(transform, points)), points, atol=1e-12
+    )
 
 
 def test_a_quarter_yaw_takes_x_to_y():

@@ -10,7 +10,7 @@ from typing import Any
 from mechsearch.types import MechSearchError
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file beside `path`, then rename it: no reader sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(
@@ -31,7 +31,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON, whole or not at all."""
     text = json.dumps(value, indent=2, sort_keys=True) + "\n"
-    write_whole(path, lambda partial: partial.write_text(text, encoding="utf-8") and None)
+    write_whole(path, lambda partial: partial.write_text(text, encoding="utf-8"))
 
 
 def read_json(path: Path, purpose: str) -> Any:

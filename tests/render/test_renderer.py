@@ -48,7 +48,9 @@ def test_depth_is_along_the_optical_axis(boxes):
 
 
 def test_an_object_at_positive_x_and_y_appears_right_and_up(boxes):
-    frame = Renderer([boxes.models["cube"]]).frame(preset("overhead"), [[0.1, 0.2, 0.03, 1, 0, 0, 0]])
+    frame = Renderer([boxes.models["cube"]]).frame(
+        preset("overhead"), [[0.1, 0.2, 0.03, 1, 0, 0, 0]]
+    )
     rows, columns = np.nonzero(frame.modal(0))
     assert rows.max() < 32
     assert columns.min() > 32

@@ -1,1 +1,1 @@
-"""TODO"""
+"""The decision process: environment, reward, Gymnasium ids."""

@@ -89,7 +89,7 @@ class HeapState:
     occlusion: float
 
 
-class HeapEnv(gymnasium.Env[dict[str, Array], Array]):
+class HeapEnv(gymnasium.Env[Any, Array]):
     """Episodes over a list of heaps.
 
     `reset(options=...)` takes `heap`, the index of the heap, and `fixed_start`, whether the end
@@ -192,9 +192,7 @@ class HeapEnv(gymnasium.Env[dict[str, Array], Array]):
         self._over = False
         return self._observe(), {"occlusion": self._occlusion, "heap": index}
 
-    def step(
-        self, action: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Execute one action.
 
         Raises:
@@ -230,7 +228,7 @@ class HeapEnv(gymnasium.Env[dict[str, Array], Array]):
         info = self._info(reward, clutter, float(moved[self.heap.target]), end, None)
         return self._observe(), reward.total, terminated, truncated, info
 
-    def render(self) -> Array | None:  # type: ignore[override]
+    def render(self) -> Array | None:
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
         if self.render_mode != "rgb_array":
             return None
@@ -303,7 +301,9 @@ class HeapEnv(gymnasium.Env[dict[str, Array], Array]):
         if not self._present[self.heap.target]:
             return 1.0
         target = int(np.flatnonzero(np.flatnonzero(self._present) == self.heap.target)[0])
-        bodies = [body for body, here in zip(self._renderer.bodies, self._present, strict=True) if here]
+        bodies = [
+            body for body, here in zip(self._renderer.bodies, self._present, strict=True) if here
+        ]
         return occlusion(bodies, self._camera, self._poses[self._present], target)
 
     def _frame(self, size: int, colour: bool) -> Frame:
@@ -320,9 +320,9 @@ class HeapEnv(gymnasium.Env[dict[str, Array], Array]):
         heap = self.heap
         return self._observer.observe(
             Scene(
-                depth=frame and frame.depth,
-                target_mask=frame and frame.modal(heap.target),
-                rgb=frame and frame.rgb,
+                depth=None if frame is None else frame.depth,
+                target_mask=None if frame is None else frame.modal(heap.target),
+                rgb=None if frame is None else frame.rgb,
                 ee_position=self._world.pusher_position,
                 positions=self._poses[:, :3],
                 present=self._present,

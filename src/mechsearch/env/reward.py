@@ -58,7 +58,7 @@ class RewardTerms:
     @property
     def total(self) -> float:
         """The reward."""
-        return sum(asdict(self).values())
+        return float(sum(asdict(self).values()))
 
 
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -77,11 +77,12 @@ def cached(path: Path) -> Prepared | None:
         return None
 
 
-def prepare_into(source: Source, path: Path) -> None:
-    """Prepare an object and keep it at `path`.
+def prepare_into(source: Source, path: Path) -> str:
+    """Prepare an object, keep it at `path` and return what went wrong without harm, if anything.
 
     Raises:
         MechSearchError: If the object cannot be prepared.
     """
     done = prepare.prepare(source)
     model_to_npz(path, done.model, remark=done.excluded)
+    return done.remark

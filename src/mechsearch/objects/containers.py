@@ -127,7 +127,7 @@ def mug() -> Solids:
 
 
 def cup(diameter: float, height: float, colour: str) -> Solids:
-    """Return a tapered cup; cups whose diameters differ by 1 cm stand in each other."""
+    """Return a tapered cup of a diameter at the rim and a height [m]."""
     rim, foot, wall = diameter / 2, 0.39 * diameter, 0.003
     sides = shell([(foot - wall, 0.0), (rim - wall, height)], [(rim, height), (foot, 0.0)], 8)
     return (

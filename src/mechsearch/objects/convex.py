@@ -23,7 +23,8 @@ MOST_PARTS = 8
 THRESHOLD = 0.08
 """CoACD's concavity bound, relative to the mesh's size."""
 
-TIME_LIMIT = 180.0
+TIME_LIMIT = 600.0
+"""Longest decomposition [s]; the slowest YCB object takes about one minute of one processor."""
 _SCRIPT = Path(__file__).with_name("coacd_process.py")
 
 

@@ -3,7 +3,16 @@
 from collections.abc import Sequence
 
 from mechsearch.objects.paint import band, blend, dots, layers, plain
-from mechsearch.objects.primitives import Paint, Solid, cylinder, ellipsoid, fitted, frustum, tube
+from mechsearch.objects.primitives import (
+    Paint,
+    Solid,
+    cylinder,
+    ellipsoid,
+    fitted,
+    frustum,
+    stack,
+    tube,
+)
 
 Solids = Sequence[Solid]
 
@@ -52,25 +61,21 @@ def lemon() -> Solids:
 
 
 def pear() -> Solids:
-    """Return a pear of 100 x 66 mm."""
+    """Return a pear of 100 x 66 mm in seven slices, with a stalk."""
+    profile = [(0.022, -0.031), (0.046, -0.024), (0.0625, -0.012), (0.0662, 0.0), (0.060, 0.014)]
+    profile += [(0.041, 0.036), (0.034, 0.050), (0.014, 0.060)]
     skin = blend("7fa33a", "c9c04a", "z", -0.02, 0.05)
-    return (
-        ellipsoid(0.0662, 0.0662, 0.062).painted(skin),
-        frustum(0.0634, 0.0376, 0.040).moved(z=0.009).painted(skin),
-        ellipsoid(0.0392, 0.0392, 0.032).moved(z=0.046).painted(skin),
-        cylinder(0.004, 0.012, 6, 1).moved(z=0.057).painted(plain(STALK)),
-    )
+    flesh = [piece.painted(skin) for piece in stack(profile)]
+    return (*flesh, cylinder(0.004, 0.009, 6, 1).moved(z=0.060).painted(plain(STALK)))
 
 
 def strawberry() -> Solids:
-    """Return a strawberry of 55 x 44 mm with its leaves."""
+    """Return a strawberry of 55 x 44 mm in six slices, with its leaves."""
+    profile = [(0.010, -0.029), (0.022, -0.022), (0.037, -0.008), (0.0438, 0.005)]
+    profile += [(0.041, 0.013), (0.031, 0.019), (0.014, 0.022)]
     seeds = layers("d3212c", (dots(60, 0.994), "f0c85a"))
-    leaves = frustum(0.034, 0.018, 0.006, 8, 1).painted(plain("3f8f2f"))
-    return (
-        ellipsoid(0.0438, 0.0438, 0.038).painted(seeds).moved(z=0.003),
-        frustum(0.0139, 0.0397, 0.024, 12).painted(seeds).moved(z=-0.029),
-        leaves.moved(z=0.020),
-    )
+    leaves = frustum(0.036, 0.018, 0.006, 8, 1).painted(plain("3f8f2f")).moved(z=0.020)
+    return (*(piece.painted(seeds) for piece in stack(profile)), leaves)
 
 
 def banana() -> Solids:

@@ -148,7 +148,9 @@ def _inside(points: Floats, hulls: Sequence[ConvexHull], margin: float) -> NDArr
 
 
 def _distances(points: Floats, mesh: trimesh.Trimesh, rng: np.random.Generator) -> Floats:
-    """Return distances (N,) to a surface: exact to the triangles of the nearest samples."""
+    """Return distances (N,) to a surface: to the triangles of the nearest samples, so up to half
+    a sample spacing too long where another triangle is nearer.
+    """
     if not len(points):
         return np.zeros(0)
     cloud, owner, _ = sample_surface(mesh, _CLOUD, rng)

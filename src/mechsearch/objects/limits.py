@@ -21,6 +21,9 @@ LIGHTEST = 0.005
 DENSITY = (20.0, 20_000.0)
 """Mass over hull volume [kg/m^3] that an object may have; outside, mass or scale is wrong."""
 
+FLAGGED_ERROR = 0.005
+"""Distance between mesh and convex parts [m] above which an object is flagged, not excluded."""
+
 GROSS_ERROR = 0.02
 """Largest distance between mesh and convex parts [m] that physics can do with."""
 

@@ -55,10 +55,12 @@ class Prepared:
     Attributes:
         model: The object.
         excluded: Why it cannot lie in a heap, or an empty string.
+        remark: What went wrong on the way without harm; known right after preparation only.
     """
 
     model: ObjectModel
     excluded: str
+    remark: str = ""
 
 
 def prepare(source: Source) -> Prepared:
@@ -93,7 +95,7 @@ def prepare(source: Source) -> Prepared:
         or why_wrong_shape(convex.error)
     )
     model = _model(source, vertices - body.centre, faces, texels, convex, body)
-    return Prepared(model, excluded)
+    return Prepared(model, excluded, convex.remark)
 
 
 def simplified(mesh: trimesh.Trimesh) -> tuple[Floats, NDArray[np.int32]]:

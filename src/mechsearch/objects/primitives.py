@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,6 +145,14 @@ def frustum(bottom: float, top: float, height: float, sides: int = 16, bands: in
     return skin(rings, np.concatenate(hull))
 
 
+def stack(profile: Sequence[tuple[float, float]], sides: int = 12) -> tuple[Solid, ...]:
+    """Return a body of revolution in slices: (diameter, height) [m], from the bottom up."""
+    return tuple(
+        frustum(low, high, top - bottom, sides, 2).moved(z=bottom)
+        for (low, bottom), (high, top) in pairwise(profile)
+    )
+
+
 def cylinder(diameter: float, height: float, sides: int = 16, bands: int = 6) -> Solid:
     """Return an upright cylinder that stands on height 0; see `frustum`."""
     return frustum(diameter, diameter, height, sides, bands)
@@ -216,6 +225,7 @@ def shell(
     radii = section[:, 0] * np.ones((5, 1))
     radii[:, : len(inner)] *= chord[:, None]
     heights = np.broadcast_to(section[:, 1], radii.shape)
+    even = 2 / (1 + np.cos(half / 2))
 
     def sweep(middle: float) -> Floats:
         angles = (middle + turns)[:, None]
@@ -224,7 +234,9 @@ def shell(
     pieces = []
     for sector in range(sectors):
         rings = sweep(2 * half * sector)
-        pieces.append(skin(rings, rings[::2].reshape(-1, 3)))
+        coarse = rings[::2] * np.where(np.arange(len(section)) < len(inner), 1.0, even)[:, None]
+        coarse[..., 2] = heights[::2]
+        pieces.append(skin(rings, coarse.reshape(-1, 3)))
     return tuple(pieces)
 
 

@@ -92,7 +92,8 @@ def _colours(
         return flat
     if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
         corners = np.asarray(visual.vertex_colors, np.float64)[piece.faces[face], :3]
-        return np.round(np.einsum("nk,nkc->nc", weights, corners)).astype(np.uint8)
+        mixed: Floats = np.einsum("nk,nkc->nc", weights, corners)
+        return mixed.round().astype(np.uint8)
     return np.broadcast_to(colour_of_name(name), (len(face), 3))
 
 

@@ -97,18 +97,17 @@ def wrench() -> Solids:
 
 
 def drill() -> Solids:
-    """Return a cordless drill of 187 x 184 x 57 mm."""
+    """Return a cordless drill of 184 x 50 x 160 mm."""
     body = layers("d8472b", (band("z", 0.0, 0.016), DARK), (band("z", 0.098, 0.118), DARK))
+    dark = plain(DARK)
     grip = [(-0.030, 0.026), (0.006, 0.026), (0.000, 0.140), (-0.044, 0.140)]
-    return (
+    solids = (
         cylinder(0.057, 0.118).painted(body).turned("y", 90).moved(-0.072, 0, 0.1555),
-        frustum(0.042, 0.022, 0.070, 12)
-        .painted(plain(DARK))
-        .turned("y", 90)
-        .moved(0.045, 0, 0.1555),
-        prism(grip, 0.036).moved(z=-0.018).turned("x", 90).painted(plain(DARK)),
+        frustum(0.042, 0.022, 0.070, 12).painted(dark).turned("y", 90).moved(0.045, 0, 0.1555),
+        prism(grip, 0.036).moved(z=-0.018).turned("x", 90).painted(dark),
         box(0.082, 0.056, 0.030, 2).moved(0.0, 0.0, 0.015).painted(plain("d8472b")),
     )
+    return fitted(solids, 0.184, 0.050, 0.160)
 
 
 def padlock() -> Solids:

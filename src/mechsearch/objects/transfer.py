@@ -71,9 +71,7 @@ def fetch(
         except _Cut as cut:
             fruitless = 0 if _size(partial) > before else fruitless + 1
             if fruitless >= patience.tries:
-                raise TransferError(
-                    f"cannot fetch {url}: {cut} ({patience.tries} tries)"
-                ) from None
+                raise TransferError(f"cannot fetch {url}: {cut} ({patience.tries} tries)") from None
             time.sleep(patience.wait * 2 ** max(fruitless - 1, 0))
 
 
@@ -106,7 +104,7 @@ def _open(url: str, partial: Path, timeout: float) -> HTTPResponse:
     except HTTPError as error:
         error.close()
         if error.code == 416:
-            _forget(partial)
+            discard(partial)
         elif error.code in (403, 404, 410):
             raise NotServed(url) from None
         elif error.code < 500 and error.code not in (408, 429):
@@ -123,7 +121,7 @@ def _start(response: HTTPResponse, partial: Path) -> int:
     begin = re.match(r"bytes (\d+)-", response.headers.get("Content-Range", ""))
     have = _size(partial)
     if not begin or int(begin[1]) != have or _validator(response) != _noted(partial):
-        _forget(partial)
+        discard(partial)
         raise _Cut("the server continued another file")
     return have
 
@@ -153,7 +151,7 @@ def _verify(partial: Path, total: int | None, etag: str) -> None:
         with partial.open("rb") as file:
             found = hashlib.file_digest(file, "md5").hexdigest()
         if found != expected:
-            _forget(partial)
+            discard(partial)
             raise _Cut(f"the bytes differ from their checksum (MD5 {found}, not {expected})")
 
 
@@ -176,6 +174,7 @@ def _size(partial: Path) -> int:
     return partial.stat().st_size if partial.exists() else 0
 
 
-def _forget(partial: Path) -> None:
+def discard(partial: Path) -> None:
+    """Remove a partial file and its validator."""
     partial.unlink(missing_ok=True)
     _note(partial).unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -79,7 +80,7 @@ class Observer:
         self._labels = labels
         size = (camera.height, camera.width)
         box = gymnasium.spaces.Box
-        spaces: dict[str, gymnasium.Space] = {
+        spaces: dict[str, gymnasium.Space[Any]] = {
             "depth": box(0.0, 10.0, (1, *size), np.float16),
             "position_image": box(-reach, reach, (3, *size), np.float16),
             "rgb": box(0, 255, (3, *size), np.uint8),
@@ -106,13 +107,15 @@ class Observer:
         return np.ascontiguousarray(np.moveaxis(np.asarray(scene.rgb), -1, 0))
 
     def _target_label(self, scene: Scene) -> Array:
-        return np.eye(self._labels, dtype=np.float32)[scene.label]
+        label: Array = np.zeros(self._labels, np.float32)
+        label[scene.label] = 1.0
+        return label
 
     def _ee_position(self, scene: Scene) -> Array:
-        return scene.ee_position.astype(np.float32)
+        return np.asarray(scene.ee_position, np.float32)
 
     def _target_offset(self, scene: Scene) -> Array:
-        return (scene.positions[scene.target] - scene.ee_position).astype(np.float32)
+        return np.asarray(scene.positions[scene.target] - scene.ee_position, np.float32)
 
     def _clutter_offsets(self, scene: Scene) -> Array:
         offsets = np.zeros((self._max_clutter, 3), np.float32)

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from mechsearch.camera import Camera, look_at
+from mechsearch.objects.limits import FLAGGED_ERROR
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.render.renderer import BACKGROUND, Renderer
 from mechsearch.runs import write_whole
 from mechsearch.types import MechSearchError
-
-FLAGGED_ERROR = 0.005
-"""A hull error above this [m] is written in red."""
 
 SMALLEST_TILE = 96
 
@@ -32,7 +30,8 @@ _DISTANCE = 5.0  # In radii of the object: far enough for little perspective.
 def contact_sheet(objects: ObjectSet, path: Path, columns: int = 8, size: int = 160) -> None:
     """Draw every object of a set in a tile of its own, and list the excluded ones below.
 
-    Objects fill their tiles, so tiles differ in scale; the sizes are written under them.
+    Objects fill their tiles, so tiles differ in scale; the sizes are written under them. A hull
+    error large enough to be flagged is written in red.
 
     Args:
         objects: The set.

@@ -44,7 +44,7 @@ class Frame:
 
     def modal(self, index: int) -> NDArray[np.bool_]:
         """Return the visible pixels (H, W) of one object."""
-        return self.ids == index
+        return np.asarray(self.ids == index, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Body:
         base = self._texels[hits.triangle, i * n - i * (i - 1) // 2 + j]
         normals = self._normals[hits.triangle] @ rotation_from_quaternion(pose[3:]).T
         shade = 0.55 + 0.45 * np.abs(normals @ _LIGHT)
-        return np.clip(base * shade[:, None], 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
 
 
 @cache

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy import ndimage
 
 from mechsearch.camera import Camera, preset
 from mechsearch.evaluation.episodes import EpisodeRecord
@@ -16,7 +17,8 @@ from mechsearch.objects.model import ObjectModel
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import MechSearchError
 
-TARGET_TINT = (46, 204, 84)
+TARGET_TINT = (40, 215, 70)
+TARGET_RIM = (0, 90, 30)
 PATH_COLOUR = (28, 98, 235)
 _PAPER = (255, 255, 255)
 _INK = (32, 36, 44)
@@ -154,12 +156,22 @@ def side_by_side(images: Sequence[Image.Image], gap: int = 6) -> Image.Image:
 
 
 def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the image (H, W, 3) with the pixels of a mask (H, W) turned green, shading kept."""
-    result = rgb.copy()
-    light = rgb[mask].mean(axis=1, keepdims=True) / 255
-    green = np.array(TARGET_TINT) * (0.45 + 0.75 * light)
-    result[mask] = np.clip(0.25 * rgb[mask] + 0.75 * green, 0, 255).astype(np.uint8)
-    return result
+    """Return the image (H, W, 3) with the pixels of a mask (H, W) green and all others paler.
+
+    Shading is kept, and a dark rim sets the target apart from other green things.
+    """
+    light = rgb.mean(axis=2, keepdims=True)
+    result = 0.5 * rgb + 0.5 * light
+    green = np.array(TARGET_TINT) * (0.55 + 0.65 * light[mask] / 255)
+    result[mask] = 0.1 * rgb[mask] + 0.9 * green
+    result[_rim(mask, max(1, len(mask) // 280))] = TARGET_RIM
+    return np.asarray(np.clip(result, 0, 255), np.uint8)
+
+
+def _rim(mask: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of a mask that lie within `width` [px] of its edge."""
+    inner = ndimage.binary_erosion(mask, iterations=width, border_value=1)
+    return mask & ~np.asarray(inner, np.bool_)
 
 
 def draw_path(image: Image.Image, camera: Camera, positions: NDArray[np.float64]) -> None:

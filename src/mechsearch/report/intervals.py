@@ -19,8 +19,8 @@ def draw_intervals(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[s
         highlight: Policies drawn in colour; the others are grey.
     """
     with style():
-        height = 0.75 + 0.24 * sum(max(1, len(seeds)) for seeds in scores.values())
-        figure, axes = grid(len(METRICS), 3, 3.3, height)
+        height = 0.9 + 0.27 * sum(max(1, len(seeds)) for seeds in scores.values())
+        figure, axes = grid(len(METRICS), 3, 3.4, height)
         for i, (metric, ax) in enumerate(zip(METRICS, axes, strict=True)):
             _panel(ax, metric, scores, highlight)
             if i % 3:

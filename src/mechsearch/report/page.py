@@ -88,7 +88,9 @@ def page(report: Report) -> str:
         ]
         sections.append(_section("Learning", "".join(map(_figure, figures))))
     if report.models is not None:
-        sections.append(_section("Episodes", _episodes(report.evaluations, report.models)))
+        sections.append(
+            _section("Episodes", _episodes(report.evaluations, report.models, subjects[0]))
+        )
     sections.append(_section("How this was made", _made(report)))
     return Template(PAGE).substitute(
         title=escape(report.title),
@@ -104,11 +106,14 @@ def trained(evaluations: Mapping[str, Evaluation]) -> list[str]:
     return learnt or [max(scores, key=lambda name: scores[name]["reward"].mean)]
 
 
-def pictured(evaluation: Evaluation) -> dict[str, EpisodeRecord]:
-    """Return the worst, the median and the best episode by reward, none chosen by hand."""
+def pictured(evaluation: Evaluation) -> dict[str, tuple[str, int]]:
+    """Return on which heaps (condition, seed) a policy did worst, middling and best by reward."""
     ranked = sorted(evaluation.episodes, key=lambda record: float(record.rewards.sum()))
     places = np.linspace(0, len(ranked) - 1, len(PICTURED)).round().astype(int)
-    return {name: ranked[place] for name, place in zip(PICTURED, places, strict=True)}
+    return {
+        name: (ranked[place].condition, ranked[place].heap_seed)
+        for name, place in zip(PICTURED, places, strict=True)
+    }
 
 
 def _lead(evaluations: Mapping[str, Evaluation], subjects: Sequence[str]) -> str:
@@ -163,31 +168,32 @@ def _scores(
     return "".join(parts) + f'<p class="note">{escape(tables.NOTE)}</p>'
 
 
-def _episodes(evaluations: Mapping[str, Evaluation], models: Mapping[str, ObjectModel]) -> str:
+def _episodes(
+    evaluations: Mapping[str, Evaluation], models: Mapping[str, ObjectModel], chooser: str
+) -> str:
+    heaps = pictured(evaluations[chooser])
     parts = [
-        "<p>For each policy its worst, median and best episode by reward, chosen by rank. Left: "
-        "the start, with the visible part of the target in green and the path of the end effector "
-        "in blue, from ring to dot. Right: the end.</p>"
+        f"<p>Three heaps, chosen by rank and not by hand: where {escape(chooser)} had its "
+        f"{', its '.join(PICTURED[:-1])} and its {PICTURED[-1]} reward. Left: the start, with the "
+        "visible part of the target in green and the path of the end effector in blue, from ring "
+        "to dot. Right: the end.</p>"
     ]
     for name, evaluation in evaluations.items():
-        figures = "".join(
-            _figure(_picture(rank, record, models)) for rank, record in pictured(evaluation).items()
-        )
+        records = {(record.condition, record.heap_seed): record for record in evaluation.episodes}
+        figures = "".join(_figure(_picture(records[heap], models)) for heap in heaps.values())
         parts.append(f'<h3>{escape(name)}</h3><div class="row">{figures}</div>')
     return "".join(parts)
 
 
-def _picture(rank: str, record: EpisodeRecord, models: Mapping[str, ObjectModel]) -> Figure:
-    config = FilmConfig(size=224, captions=False)
-    image = start_and_end(Film(record, models, config))
+def _picture(record: EpisodeRecord, models: Mapping[str, ObjectModel]) -> Figure:
+    image = start_and_end(Film(record, models, FilmConfig(size=224, captions=False)))
     first, last = record.occlusions[0], record.occlusions[-1]
     actions = len(record.actions)
     caption = (
-        f"{rank}: reward {tables.number('reward', float(record.rewards.sum()))}, "
-        f"{first:.0%} → {last:.0%} hidden, {actions} action{'s' if actions > 1 else ''}, "
-        f"{record.end}"
+        f"{first:.0%} → {last:.0%} hidden, {actions} action{'s' if actions > 1 else ''} "
+        f"({record.end}), reward {tables.number('reward', float(record.rewards.sum()))}"
     )
-    alt = f"Start and end of an episode among {len(record.objects)} objects; {caption}"
+    alt = f"Start and end of an episode among {len(record.objects)} objects: {caption}"
     return Figure(data_uri(_encoded(image), "image/png"), alt, caption)
 
 

@@ -155,7 +155,9 @@ def _is_clear(start: Floats, end: Floats, objects: Floats, radius: float = 0.08)
     """Return whether a straight motion passes beside or above all objects (N, 3)."""
     span = end - start
     length = float(span @ span)
-    along = np.clip((objects - start) @ span / length, 0, 1) if length > 0 else np.zeros(len(objects))
+    along = (
+        np.clip((objects - start) @ span / length, 0, 1) if length > 0 else np.zeros(len(objects))
+    )
     nearest = start + along[:, None] * span
     beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > radius
     above = nearest[:, 2] > objects[:, 2] + 0.06

@@ -1,0 +1,47 @@
+# `make demo` runs the whole way on embedded objects, `make test` passes the checks and tests.
+# Both need only Python >= 3.11 with pip and venv.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test check unit test-all lock clean
+
+demo: $(READY)
+	$(BIN)/mechsearch demo --output demo
+
+test: check unit
+
+check: $(READY)
+	$(BIN)/ruff format --check src tests examples
+	$(BIN)/ruff check src tests examples
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+unit: $(READY)
+	$(BIN)/python -m pytest -n auto
+
+# Every Python at hand, each with an environment of its own.
+test-all:
+	@for version in 3.11 3.12 3.13 3.14; do \
+		if command -v python$$version >/dev/null && python$$version --version >/dev/null 2>&1; then \
+			echo "== Python $$version"; \
+			$(MAKE) --no-print-directory unit PYTHON=python$$version VENV=.venv-$$version || exit 1; \
+		fi; \
+	done
+
+$(READY): requirements.txt pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit("mechsearch needs Python 3.11 or newer, not " + sys.version.split()[0]) if sys.version_info < (3, 11) else 0'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
+	touch $(READY)
+
+# Versions and hashes of everything, for all supported Pythons.
+lock: $(READY)
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
+		--all-extras --group dev --output-file requirements.txt pyproject.toml
+
+clean:
+	rm -rf $(VENV) demo

@@ -1,0 +1,73 @@
+"""The Gymnasium ids, and one function that makes any environment from names and files."""
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.heaps.heap import check_condition
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.types import MechSearchError
+
+IDS = {"mechsearch/SingleHeap-v0": "single", "mechsearch/DualHeap-v0": "dual"}
+SPLITS = ("train", "held-out", "all")
+
+
+def embedded_heaps(condition: str) -> HeapSet:
+    """Return the small heap set of household objects that the package holds."""
+    name = f"household_{check_condition(condition)}.parquet"
+    with resources.as_file(resources.files("mechsearch.heaps") / name) as path:
+        return load(path)
+
+
+def make_env(
+    condition: str = "single",
+    heaps: str | Path | None = None,
+    objects: str = "household",
+    split: str = "train",
+    config: HeapEnvConfig | None = None,
+    render_mode: str | None = None,
+    **settings: Any,
+) -> HeapEnv:
+    """Return an environment.
+
+    Args:
+        condition: "single" or "dual"; chooses among the embedded heaps.
+        heaps: Heap set file; None takes the embedded heaps of household objects.
+        objects: Object set that the heaps were made with.
+        split: "train", "held-out" or "all" of the heaps.
+        config: The task.
+        render_mode: "rgb_array" or None.
+        settings: Fields of the configuration to replace, such as `privileged=True`.
+
+    Raises:
+        MechSearchError: If a name or setting is unknown, or heaps and objects do not fit.
+    """
+    if split not in SPLITS:
+        raise MechSearchError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
+    heap_set = embedded_heaps(condition) if heaps is None else load(Path(heaps))
+    object_set = load_object_set(objects)
+    check_objects(heap_set, object_set)
+    chosen = {"train": heap_set.train, "held-out": heap_set.held_out, "all": list(heap_set.heaps)}
+    base = config or HeapEnvConfig(camera=heap_set.camera)
+    unknown = [key for key in settings if key not in base.__dataclass_fields__]
+    if unknown:
+        raise MechSearchError(
+            f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
+        )
+    return HeapEnv(chosen[split], object_set, replace(base, **settings), render_mode)
+
+
+def register() -> None:
+    """Make the ids known to Gymnasium."""
+    for name, condition in IDS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point="mechsearch.env.register:make_env",
+                kwargs={"condition": condition},
+            )

@@ -1,0 +1,197 @@
+"""Learning curves from a run directory's metrics."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from mechsearch.evaluation.metrics import Estimate
+from mechsearch.report.figures import COLOURS, GREY, grid, style, to_svg
+from mechsearch.report.tables import display
+from mechsearch.runs import read_json, read_lines
+from mechsearch.types import Floats, MechSearchError
+
+METRICS_FILE = "metrics.jsonl"
+CONFIG_FILE = "config.json"
+EVALUATIONS = {"held_out": "held-out heaps", "validation": "validation heaps"}
+SHOWN = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
+_WINDOW = 15
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a training run logged.
+
+    Attributes:
+        name: Of the run's configuration.
+        seed: Likewise.
+        records: Lines of the log by their kind, such as "validation" or "episode".
+    """
+
+    name: str
+    seed: int
+    records: Mapping[str, Sequence[Mapping[str, Any]]]
+
+    def series(self, kind: str, key: str) -> tuple[Floats, Floats]:
+        """Return steps and values (n,) of one number in one kind of record."""
+        pairs = [(r["step"], r[key]) for r in self.records.get(kind, ()) if key in r]
+        steps, values = np.array(pairs, np.float64).reshape(-1, 2).T
+        return steps, values
+
+    def keys(self, kind: str) -> list[str]:
+        """Return the names of all numbers in one kind of record, in their first order."""
+        names: dict[str, None] = {}
+        for record in self.records.get(kind, ()):
+            names |= {k: None for k, v in record.items() if isinstance(v, int | float)}
+        return [name for name in names if name != "step"]
+
+
+def read_run(directory: Path) -> Run:
+    """Read a run directory.
+
+    Raises:
+        MechSearchError: If it holds no run, or its log is damaged.
+    """
+    config = read_json(directory / CONFIG_FILE, "training configuration")
+    records: dict[str, list[Mapping[str, Any]]] = {}
+    try:
+        for record in read_lines(directory / METRICS_FILE):
+            records.setdefault(record["kind"], []).append(record)
+    except (ValueError, KeyError, TypeError) as error:
+        raise MechSearchError(
+            f"the log at {directory / METRICS_FILE} is damaged: {error}"
+        ) from None
+    return Run(str(config.get("name", directory.name)), int(config.get("seed", 0)), records)
+
+
+def draw_evaluations(
+    runs: Sequence[Run], references: Mapping[str, Mapping[str, Estimate]] | None = None
+) -> str | None:
+    """Return an SVG of the evaluations during training, or None if there were none.
+
+    Args:
+        runs: Each a colour; solid on held-out heaps, dashed on validation heaps.
+        references: Scores of policies that do not learn, drawn as grey levels.
+    """
+    if not any(run.records.get(kind) for run in runs for kind in EVALUATIONS):
+        return None
+    names = list(dict.fromkeys(run.name for run in runs))
+    with style():
+        figure, axes = grid(len(SHOWN), 2, 4.8, 2.7)
+        for metric, ax in zip(SHOWN, axes, strict=True):
+            for run in runs:
+                _draw_run(ax, run, metric, COLOURS[names.index(run.name) % len(COLOURS)])
+            _draw_levels(ax, metric, references or {})
+            ax.set_title(display(metric).label)
+            ax.set_xlabel("training step")
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        return to_svg(figure)
+
+
+def draw_training(run: Run) -> str | None:
+    """Return an SVG of what went on in training, or None if nothing was logged.
+
+    Reinforcement: each episode's return, the critic's first Q against the return that followed,
+    the share of saturated actions, and who chose the actions, as running means. Imitation: its
+    losses.
+    """
+    if not run.records.get("episode"):
+        return _draw_losses(run)
+    with style():
+        figure, axes = grid(4, 2, 4.8, 2.6)
+        choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
+        panels: list[tuple[str, list[str]]] = [
+            ("return of each episode", ["return"]),
+            ("Q at the start, and the return that followed", ["q_start", "return_start"]),
+            ("share of saturated actions", ["saturated"]),
+            ("who chose the actions", choices),
+        ]
+        for ax, (title, keys) in zip(axes, panels, strict=True):
+            for key, colour in zip(keys, COLOURS, strict=False):
+                steps, values = run.series("episode", key)
+                if len(steps):
+                    label = key.removeprefix("chosen_").replace("_", " ")
+                    ax.plot(steps, running_mean(values, _WINDOW), color=colour, label=label)
+            ax.set_title(title)
+            ax.set_xlabel("training action")
+            if title.startswith(("share", "who")):
+                ax.set_ylim(-0.02, 1.02)
+            if len(keys) > 1:
+                ax.legend(loc="best", fontsize=8)
+        return to_svg(figure)
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Return the mean of each value and those before it, at most `window` in all (n,)."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(ends - window, 0)
+    mean: Floats = (sums[ends] - sums[starts]) / (ends - starts)
+    return mean
+
+
+def _draw_losses(run: Run) -> str | None:
+    kinds = [kind for kind in ("imitation", "validation_error") if run.records.get(kind)]
+    panels = [(kind, key) for kind in kinds for key in run.keys(kind)]
+    if not panels:
+        return None
+    with style():
+        figure, axes = grid(len(panels), 2, 4.8, 2.6)
+        for ax, (kind, key) in zip(axes, panels, strict=True):
+            ax.plot(*run.series(kind, key), color=COLOURS[0])
+            ax.set_title(f"{kind.replace('_', ' ')}: {key.replace('_', ' ')}")
+            ax.set_xlabel("update")
+        return to_svg(figure)
+
+
+def _draw_run(ax: Axes, run: Run, metric: str, colour: str) -> None:
+    for (kind, heaps), line in zip(EVALUATIONS.items(), ("-", "--"), strict=True):
+        steps, values = run.series(kind, metric)
+        if len(steps):
+            ax.plot(
+                steps,
+                values * display(metric).scale,
+                line,
+                color=colour,
+                marker="o",
+                markersize=3.5,
+                label=f"{run.name}, seed {run.seed}, {heaps}",
+            )
+
+
+def _draw_levels(ax: Axes, metric: str, references: Mapping[str, Mapping[str, Estimate]]) -> None:
+    scale = display(metric).scale
+    levels = {name: scores[metric].mean * scale for name, scores in references.items()}
+    for level in levels.values():
+        ax.axhline(level, color=GREY, linewidth=1, zorder=0)
+    low, high = ax.get_ylim()
+    ordered = sorted(levels, key=lambda name: levels[name])
+    heights = spaced([(levels[name] - low) / (high - low) for name in ordered], 0.075)
+    for name, height in zip(ordered, heights, strict=True):
+        text = ax.text(1.015, height, name, transform=ax.transAxes, va="center")
+        text.set(fontsize=7.5, color=GREY)
+    ax.set_ylim(low, high)
+
+
+def spaced(heights: Sequence[float], gap: float) -> list[float]:
+    """Return ascending heights moved as little as needed to lie at least `gap` apart."""
+    groups: list[list[float]] = []
+    for height in heights:
+        groups.append([height])
+        # Labels that touch share the middle of where they want to be.
+        while len(groups) > 1 and _bottom(groups[-1], gap) - _top(groups[-2], gap) < gap:
+            last = groups.pop()
+            groups[-1] += last
+    return [_bottom(group, gap) + i * gap for group in groups for i in range(len(group))]
+
+
+def _bottom(group: Sequence[float], gap: float) -> float:
+    return sum(group) / len(group) - gap * (len(group) - 1) / 2
+
+
+def _top(group: Sequence[float], gap: float) -> float:
+    return _bottom(group, gap) + gap * (len(group) - 1)

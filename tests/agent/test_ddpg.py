@@ -1,0 +1,191 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from mechsearch.agent.ddpg import Learner, LearnerConfig, TensorBatch, alpha_divergence
+from mechsearch.agent.networks import NetworkConfig
+from mechsearch.agent.replay import Replay
+from mechsearch.types import MechSearchError
+
+ACTOR = {"ee_position": (3,)}
+CRITIC = {"ee_position": (3,), "target_offset": (3,)}
+SMALL = NetworkConfig(hidden=(32, 32), bfloat16=False)
+FULL = NetworkConfig(bfloat16=False)
+
+
+def learner(seed=0, actor=ACTOR, **changes):
+    torch.manual_seed(seed)
+    settings = {"samples": 7, "batch": 32, "network": SMALL, **changes}
+    return Learner(actor, CRITIC, LearnerConfig(**settings), seed)
+
+
+def batch(size=16, reward=0.0, discount=0.9):
+    generator = torch.Generator().manual_seed(0)
+
+    def rand():
+        return torch.rand(size, 3, generator=generator)
+
+    obs = {"ee_position": rand(), "target_offset": rand()}
+    after = {"ee_position": rand(), "target_offset": rand()}
+    full = torch.full((size,), reward), torch.full((size,), discount)
+    return TensorBatch(obs, rand() * 2 - 1, *full, after)
+
+
+def bandit(rows=400):
+    """A world of one action: the reward is highest at the action (0.5, -0.5, 0)."""
+    rng = np.random.default_rng(0)
+    shapes = {"ee_position": (3,), "target_offset": (3,)}
+    replay = Replay(shapes, dict.fromkeys(shapes, np.float32), 2 * rows)
+    for _ in range(rows):
+        action = rng.uniform(-1, 1, 3).astype(np.float32)
+        reward = -10 * float(np.sum((action - [0.5, -0.5, 0.0]) ** 2))
+        obs = {key: np.zeros(3, np.float32) for key in shapes}
+        replay.add(obs, action, reward, 0.0)
+        replay.end(obs)
+    return replay
+
+
+def test_alpha_divergence_matches_hand_computed_numbers():
+    errors = torch.tensor([[1.0], [3.0]])
+    # -(1/0.5) * log((exp(-0.25 * 2 * 1) + exp(-0.25 * 2 * 9)) / 2)
+    expected = -2 * math.log((math.exp(-0.5) + math.exp(-4.5)) / 2)
+    assert alpha_divergence(errors, 0.5, 2.0).item() == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_small_alpha_is_the_mean_squared_error():
+    errors = torch.randn(20, 8, generator=torch.Generator().manual_seed(0))
+    squared = 0.5 * 10 * errors.square().mean()
+    assert alpha_divergence(errors, 1e-5, 10.0).item() == pytest.approx(squared.item(), rel=1e-2)
+
+
+def test_the_bellman_target_is_reward_plus_discounted_target_value():
+    agent, data = learner(), batch(reward=-2.0, discount=0.5)
+    for network in (agent.actor, agent.critic):
+        torch.nn.init.normal_(network.output.weight)  # the targets must be what is asked
+    q = agent.critic_target(data.next_obs, agent.actor_target(data.next_obs))
+    torch.testing.assert_close(agent.bellman_target(data), -2.0 + 0.5 * q)
+
+
+def test_after_a_termination_the_target_is_the_reward():
+    target = learner().bellman_target(batch(reward=-3.0, discount=0.0))
+    torch.testing.assert_close(target, torch.full_like(target, -3.0))
+
+
+def test_targets_move_by_the_share_tau():
+    agent = learner(tau=0.25)
+    before = [p.clone() for p in agent.critic_target.parameters()]
+    for parameter in agent.critic.parameters():
+        torch.nn.init.normal_(parameter)
+    agent.update_target()
+    triples = zip(before, agent.critic.parameters(), agent.critic_target.parameters(), strict=True)
+    for old, new, target in triples:
+        torch.testing.assert_close(target, 0.75 * old + 0.25 * new)
+
+
+def test_the_actor_update_leaves_the_critic_alone_and_the_critic_update_the_actor():
+    agent, data = learner(), batch()
+    critic, actor = agent.critic.state_dict(), agent.actor.state_dict()
+    critic, actor = ({k: v.clone() for k, v in s.items()} for s in (critic, actor))
+    agent.update_actor(data)
+    assert all(torch.equal(v, critic[k]) for k, v in agent.critic.state_dict().items())
+    actor_after = {k: v.clone() for k, v in agent.actor.state_dict().items()}
+    assert not all(torch.equal(v, actor[k]) for k, v in actor_after.items())
+    agent.update_critic(data)
+    assert all(torch.equal(v, actor_after[k]) for k, v in agent.actor.state_dict().items())
+    assert not all(torch.equal(v, critic[k]) for k, v in agent.critic.state_dict().items())
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.1])
+def test_the_actor_finds_the_action_of_highest_reward(dropout):
+    agent, replay = learner(dropout=dropout, actor_rate=1e-3, network=FULL), bandit()
+    rng = np.random.default_rng(0)
+    for _ in range(250):
+        metrics = agent.update(replay, rng)
+    action = agent.act({"ee_position": np.zeros(3, np.float32)})
+    np.testing.assert_allclose(action, [0.5, -0.5, 0.0], atol=0.25)
+    assert metrics["bellman_error"] < 3.0
+    assert metrics["saturated"] == 0.0
+
+
+def test_q_samples_are_in_units_of_reward_and_agree_in_the_mean():
+    agent, replay = learner(samples=10, network=FULL), bandit()
+    rng = np.random.default_rng(0)
+    for _ in range(250):
+        agent.update(replay, rng)
+    obs = {key: np.zeros(3, np.float32) for key in CRITIC}
+    actions = np.array([[0.5, -0.5, 0], [-1, 1, 1]], np.float32)
+    samples = agent.q_samples(obs, actions)
+    assert samples.shape == (10, 2)
+    truth = -10 * np.sum((actions - [0.5, -0.5, 0.0]) ** 2, 1)
+    np.testing.assert_allclose(samples.mean(0), truth, atol=8)
+    assert samples[:, 1].std() > 0
+
+
+def test_an_ordinary_critic_gives_one_sample():
+    agent = learner(dropout=0.0, samples=1)
+    obs = {key: np.zeros(3, np.float32) for key in CRITIC}
+    assert agent.q_samples(obs, np.zeros((4, 3), np.float32)).shape == (1, 4)
+
+
+def test_the_saturation_penalty_pulls_the_output_back():
+    agent = learner(saturation_penalty=10.0)
+    torch.nn.init.constant_(agent.actor.output.bias, 3.0)
+    data = batch()
+    first = agent.update_actor(data)["pre_tanh"]
+    for _ in range(50):
+        last = agent.update_actor(data)["pre_tanh"]
+    assert last < first
+
+
+def test_the_normalised_actor_loss_does_not_depend_on_the_scale_of_q():
+    losses = []
+    for factor in (1.0, 100.0):
+        agent = learner(dropout=0.0, samples=1)
+        torch.nn.init.constant_(agent.critic.output.bias, 1.0)
+        with torch.no_grad():
+            agent.critic.output.weight.mul_(factor)
+            agent.critic.output.bias.mul_(factor)
+        losses.append(agent.update_actor(batch())["actor_gradient"])
+    assert losses[0] == pytest.approx(losses[1], rel=1e-2)
+
+
+def test_a_restored_learner_goes_on_exactly():
+    replay, whole, parts = bandit(), learner(), learner()
+    rng_whole, rng_parts = np.random.default_rng(1), np.random.default_rng(1)
+    for _ in range(3):
+        whole.update(replay, rng_whole)
+        parts.update(replay, rng_parts)
+    again = learner(seed=5)
+    again.restore({key: value.clone() for key, value in parts.state().items()})
+    for _ in range(3):
+        assert whole.update(replay, rng_whole) == again.update(replay, rng_parts)
+    for key, value in whole.state().items():
+        assert torch.equal(value, again.state()[key]), key
+
+
+def test_a_learner_of_other_shapes_is_refused():
+    other = learner(actor={"depth": (1, 16, 16)})
+    with pytest.raises(MechSearchError, match="another network"):
+        other.restore(learner().state())
+
+
+def test_symmetric_training_turns_observation_and_action_together():
+    agent, replay = learner(symmetry=True), bandit()
+    data = agent._tensors(replay.sample(64, np.random.default_rng(0)))
+    # The reward knows the axes, so the turned actions no longer earn what is written beside them;
+    # their lengths and heights must be what they were.
+    raw = replay.sample(64, np.random.default_rng(0))
+    np.testing.assert_allclose(
+        data.action.norm(dim=1), np.linalg.norm(raw.action, axis=1), rtol=1e-5
+    )
+    np.testing.assert_array_equal(data.action[:, 2], raw.action[:, 2])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"gamma": 1.5}, {"tau": 0}, {"batch": 0}, {"dropout": 1.0}, {"actor_rate": -1}]
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(MechSearchError, match=next(iter(wrong))):
+        LearnerConfig(**wrong)
