@@ -115,11 +115,11 @@ def test_q_samples_are_in_units_of_reward_and_agree_in_the_mean():
     for _ in range(250):
         agent.update(replay, rng)
     obs = {key: np.zeros(3, np.float32) for key in CRITIC}
-    actions = np.array([[0.5, -0.5, 0], [-1, 1, 1]], np.float32)
+    actions = np.array([[0.5, -0.5, 0], [-0.5, 0.5, 0.5]], np.float32)
     samples = agent.q_samples(obs, actions)
     assert samples.shape == (10, 2)
     truth = -10 * np.sum((actions - [0.5, -0.5, 0.0]) ** 2, 1)
-    np.testing.assert_allclose(samples.mean(0), truth, atol=8)
+    np.testing.assert_allclose(samples.mean(0), truth, atol=5)
     assert samples[:, 1].std() > 0
 
 

@@ -57,7 +57,8 @@ class ActorPolicy:
 def save_actor(actor: Actor, path: Path, training_actions: int) -> None:
     """Write an actor to a safetensors file that `load_actor` needs nothing beside."""
     meta = {
-        "shapes": {key: list(shape) for key, shape in actor.shapes.items()},
+        # Pairs, since the order of the keys is the order of the heads' features.
+        "shapes": [[key, list(shape)] for key, shape in actor.shapes.items()],
         "network": asdict(actor.config),
         "training_actions": training_actions,
     }
@@ -75,7 +76,7 @@ def load_actor(path: Path) -> ActorPolicy:
     """
     archive = load_archive(path / ACTOR_FILE if path.is_dir() else path, KIND)
     network = record_from_json(NetworkConfig, archive.meta["network"])
-    shapes = {key: tuple(shape) for key, shape in archive.meta["shapes"].items()}
+    shapes = {key: tuple(shape) for key, shape in archive.meta["shapes"]}
     actor = Actor(shapes, network)
     archive.fill(actor)
     return ActorPolicy(actor, int(archive.meta["training_actions"]))

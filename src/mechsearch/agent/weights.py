@@ -91,8 +91,10 @@ def save_archive(path: Path, archive: Archive) -> None:
     """Write an archive with checksums, whole or not at all."""
     tensors = {name: tensor.contiguous() for name, tensor in archive.tensors.items()}
     checks = {name: _checksum(tensor) for name, tensor in tensors.items()}
-    text = json.dumps({"kind": archive.kind, "format": FORMAT, "checks": checks, **archive.meta})
-    header = {"meta": text, "check": str(crc32(text.encode()))}
+    meta = {"kind": archive.kind, "format": FORMAT, "checks": checks, **archive.meta}
+    text = json.dumps(meta, sort_keys=True)
+    # One entry alone: safetensors writes several in no fixed order.
+    header = {"mechsearch": f"{crc32(text.encode())} {text}"}
     write_whole(path, lambda partial: save_file(tensors, partial, header))
 
 
@@ -127,8 +129,8 @@ def _checksum(tensor: Tensor) -> int:
 def _verified(
     header: Mapping[str, str], tensors: Mapping[str, Tensor], what: str
 ) -> dict[str, Any]:
-    text = header.get("meta", "")
-    if header.get("check") != str(crc32(text.encode())):
+    check, _, text = header.get("mechsearch", "").partition(" ")
+    if check != str(crc32(text.encode())):
         raise MechSearchError(f"{what} is damaged, or was not written by mechsearch: its header")
     meta: dict[str, Any] = json.loads(text)
     checks = meta.pop("checks")

@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -84,17 +85,20 @@ def make_policy(spec: str) -> Policy:
     )
 
 
-def trained_view(spec: str) -> dict[str, Any]:
-    """Return `camera` and `image_size` of the run that a policy comes from; empty for others."""
+def run_config(spec: str) -> Mapping[str, Any]:
+    """Return the configuration of the run that a policy comes from; empty for others.
+
+    Raises:
+        MechSearchError: If the configuration is damaged.
+    """
     path = Path(spec)
     if not (path.is_dir() or spec.endswith(".safetensors")):
         return {}
-    folders = (path, path.parent, path.parent.parent)
-    configs = [folder / RUN_CONFIG for folder in folders if (folder / RUN_CONFIG).is_file()]
-    if not configs:
-        return {}
-    config = read_json(configs[0], "training configuration")
-    return {name: config[name] for name in ("camera", "image_size") if name in config}
+    for folder in (path, path.parent, path.parent.parent):
+        if (folder / RUN_CONFIG).is_file():
+            config: dict[str, Any] = read_json(folder / RUN_CONFIG, "training configuration")
+            return config
+    return {}
 
 
 def _trained(path: Path) -> Policy:

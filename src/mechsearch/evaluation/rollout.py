@@ -12,7 +12,7 @@ import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.policies import make_policy, trained_view
+from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.parallel import Progress, map_in_order, silent
@@ -28,7 +28,8 @@ class EvaluationPlan:
     Attributes:
         policy: Text for `make_policy`.
         heaps: File of the heap set.
-        name: Under which the policy is reported; empty takes `policy`.
+        name: Under which the policy is reported; empty takes the name of the run that it comes
+            from, or else `policy`.
         objects: Object set; empty takes the one that the heap set names.
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly over the split; 0 takes all.
@@ -57,6 +58,11 @@ class EvaluationPlan:
             raise MechSearchError(
                 f"limit is {self.limit} and seed {self.seed}; expected neither below 0"
             )
+
+    @property
+    def title(self) -> str:
+        """The name under which the policy is reported."""
+        return self.name or str(run_config(self.policy).get("name", self.policy))
 
 
 def run(
@@ -133,12 +139,12 @@ def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent
         MechSearchError: If the plan cannot be carried out, or workers keep dying.
     """
     env, heap_set, indices, policy = _prepared(plan)
-    name = plan.name or plan.policy
+    name = plan.title
     records: list[EpisodeRecord] = []
     dead_at = -1
     while len(records) < len(indices):
         try:
-            for record in map_in_order(_Episode(plan), indices[len(records) :], workers):
+            for record in map_in_order(_Episode(plan, name), indices[len(records) :], workers):
                 records.append(record)
                 progress(name, len(records), len(indices))
         except BrokenProcessPool:
@@ -156,10 +162,11 @@ class _Episode:
     """One heap's episode, in whichever process."""
 
     plan: EvaluationPlan
+    name: str
 
     def __call__(self, index: int) -> EpisodeRecord:
         env, _, _, policy = _prepared(self.plan)
-        return run_episode(policy, env, index, self.plan.seed, self.plan.name or self.plan.policy)
+        return run_episode(policy, env, index, self.plan.seed, self.name)
 
 
 @lru_cache(maxsize=1)
@@ -169,9 +176,14 @@ def _prepared(plan: EvaluationPlan) -> tuple[HeapEnv, HeapSet, tuple[int, ...], 
     objects = load_object_set(plan.objects or heap_set.manifest["config"]["objects"])
     check_objects(heap_set, objects)
     policy = make_policy(plan.policy)
-    view = {"camera": heap_set.camera} | trained_view(plan.policy)
-    view |= {"camera": plan.camera} if plan.camera else {}
-    config = replace(plan.env, keys=tuple(policy.keys), privileged=False, **view)
+    run = run_config(plan.policy)
+    config = replace(
+        plan.env,
+        keys=tuple(policy.keys),
+        privileged=False,
+        camera=plan.camera or run.get("camera", heap_set.camera),
+        image_size=run.get("image_size", plan.env.image_size),
+    )
     return HeapEnv(heap_set.heaps, objects, config), heap_set, _chosen(heap_set, plan), policy
 
 
@@ -193,10 +205,12 @@ def _header(
     plan: EvaluationPlan, env: HeapEnv, heap_set: HeapSet, policy: Policy
 ) -> dict[str, Any]:
     return {
-        "name": plan.name or plan.policy,
+        "name": plan.title,
         "policy": plan.policy,
         "keys": list(policy.keys),
         "seed": plan.seed,
+        "trained": hasattr(policy, "training_actions"),
+        "training_seed": run_config(plan.policy).get("seed"),
         "training_actions": int(getattr(policy, "training_actions", 0)),
         "heap_set": heap_set.hash,
         "condition": heap_set.manifest["config"]["condition"],

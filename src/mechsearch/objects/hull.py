@@ -16,6 +16,7 @@ HULL_VERTICES = 32
 _closest_point: Callable[..., Floats] = trimesh.triangles.closest_point
 _SAMPLES = 4000
 _CLOUD = 40_000
+_FEW_FACES = 64
 
 
 def reduced_hull(points: Floats, limit: int = HULL_VERTICES) -> Floats:
@@ -148,14 +149,19 @@ def _inside(points: Floats, hulls: Sequence[ConvexHull], margin: float) -> NDArr
 
 
 def _distances(points: Floats, mesh: trimesh.Trimesh, rng: np.random.Generator) -> Floats:
-    """Return distances (N,) to a surface: to the triangles of the nearest samples, so up to half
-    a sample spacing too long where another triangle is nearer.
+    """Return distances (N,) to a surface.
+
+    Exact for few triangles; else to the triangles of the nearest samples, which is up to half a
+    sample spacing too long where another triangle is nearer.
     """
     if not len(points):
         return np.zeros(0)
-    cloud, owner, _ = sample_surface(mesh, _CLOUD, rng)
-    _, near = cKDTree(cloud).query(points, k=4)
-    repeated = np.repeat(points, 4, axis=0)
-    closest = _closest_point(mesh.triangles[owner[near].ravel()], repeated)
+    if len(mesh.faces) <= _FEW_FACES:
+        near = np.broadcast_to(np.arange(len(mesh.faces)), (len(points), len(mesh.faces)))
+    else:
+        cloud, owner, _ = sample_surface(mesh, _CLOUD, rng)
+        near = owner[cKDTree(cloud).query(points, k=4)[1]]
+    repeated = np.repeat(points, near.shape[1], axis=0)
+    closest = _closest_point(mesh.triangles[near.ravel()], repeated)
     lengths = np.linalg.norm(closest - repeated, axis=1)
-    return np.asarray(lengths.reshape(-1, 4).min(axis=1))
+    return np.asarray(lengths.reshape(near.shape).min(axis=1))

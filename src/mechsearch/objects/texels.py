@@ -20,16 +20,10 @@ _to_simple: Callable[[PBRMaterial], SimpleMaterial] = PBRMaterial.to_simple
 
 
 def barycentric_grid(rows: int) -> Floats:
-    """Return barycentric coordinates (T, 3), T = rows (rows + 1) / 2, of a regular grid.
-
-    Row i of the grid has i + 1 samples; the first is corner 0, the last row joins corners 1 and
-    2. One row is the centroid.
-    """
-    if rows == 1:
-        return np.full((1, 3), 1 / 3)
-    steps = rows - 1
-    grid = [(steps - i, i - j, j) for i in range(rows) for j in range(i + 1)]
-    return np.array(grid, np.float64) / steps
+    """Return barycentric coordinates (T, 3), T = rows (rows + 1) / 2, in `ObjectModel`'s order."""
+    cells = [(i, j) for i in range(rows) for j in range(rows - i)]
+    second, third = (np.array(cells, np.float64).T + 1 / 3) / rows
+    return np.stack([1 - second - third, second, third], axis=1)
 
 
 def bake_texels(

@@ -101,7 +101,7 @@ def page(report: Report) -> str:
 
 def trained(evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return the policies that learnt, or else the one with the highest reward."""
-    learnt = [name for name, e in evaluations.items() if e.header.get("training_actions", 0)]
+    learnt = [name for name, e in evaluations.items() if e.header.get("trained")]
     scores = tables.scores_of(evaluations)
     return learnt or [max(scores, key=lambda name: scores[name]["reward"].mean)]
 

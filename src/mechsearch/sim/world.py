@@ -214,7 +214,7 @@ def _compile(
         _add_object(spec, i, model)
     table = spec.worldbody.add_geom()
     table.name = "table"
-    table.type = mujoco.mjtGeom.mjGEOM_BO
+    table.type = mujoco.mjtGeom.mjGEOM_BOX
     table.size = [workspace.table_half, workspace.table_half, 0.1]
     table.pos = [0.0, 0.0, -0.1]
     table.friction = [0.6, 0.005, 0.0001]
@@ -245,7 +245,7 @@ def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
         mesh = spec.add_mesh()
         mesh.name = f"object{index}part{k}"
         mesh.uservert = np.asarray(part, np.float64).ravel().tolist()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVE
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         geom = body.add_geom()
         geom.type = mujoco.mjtGeom.mjGEOM_MESH
         geom.meshname = mesh.name
@@ -271,7 +271,7 @@ def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
         actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
         # An integrated-velocity servo: its set point moves at the commanded velocity.
         actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIED
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.gainprm[0] = pusher.stiffness
         actuator.biasprm[1] = -pusher.stiffness
@@ -296,7 +296,7 @@ def _add_wall(spec: mujoco.MjSpec, index: int, wall: Wall, sides: int = 16) -> N
     for i in range(sides):
         angle = 2 * np.pi * i / sides
         geom = body.add_geom()
-        geom.type = mujoco.mjtGeom.mjGEOM_BO
+        geom.type = mujoco.mjtGeom.mjGEOM_BOX
         geom.size = [0.01, half_width, 0.5]
         geom.pos = [middle * np.cos(angle), middle * np.sin(angle), 0.5]
         geom.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]

@@ -126,6 +126,7 @@ class Session:
         after, reward, terminated, truncated, info = outcome
         reward = float(reward)
         self.counts["step"] += 1
+        self.counts["episodes"] += terminated or truncated
         self.episode.add(decision.choice, decision.q, decision.actor_action, reward, info)
         if info.get("failure"):
             self.counts["failures"] += 1

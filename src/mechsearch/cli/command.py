@@ -1,0 +1,50 @@
+"""What every command is: options that parse themselves, and a run."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+import tyro
+from rich.console import Console
+
+from mechsearch.heaps.dataset import HeapSet
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.objects.model import ObjectSet
+from mechsearch.parallel import Progress
+from mechsearch.train.progress import progress_bars
+
+
+class Command:
+    """Options of one command; subclasses are frozen dataclasses."""
+
+    @classmethod
+    def parse(cls, program: str, words: Sequence[str]) -> Self:
+        """Return the options that words on the command line give."""
+        return tyro.cli(cls, prog=program, args=list(words))
+
+    def run(self) -> None:
+        """Do what the command is for."""
+        raise NotImplementedError
+
+
+@contextmanager
+def bars() -> Iterator[Progress]:
+    """Show progress on the error stream, so that results can be piped."""
+    with progress_bars(Console(stderr=True)) as progress:
+        yield progress
+
+
+def objects_of(heap_set: HeapSet, named: str) -> ObjectSet:
+    """Return the object set that was named, or else the one that a heap set was made with."""
+    return load_object_set(named or str(heap_set.manifest["config"]["objects"]))
+
+
+def say(text: str) -> None:
+    """Write a result."""
+    print(text)
+
+
+def wrote(path: Path) -> None:
+    """Tell where a result is."""
+    say(f"wrote {path}")

@@ -1,0 +1,203 @@
+"""`mechsearch evaluate` and `mechsearch show`."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mechsearch.cli.command import Command, bars, say, wrote
+from mechsearch.cli.heaps import WORKERS
+from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.evaluation.metrics import METRICS, score
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.report import tables
+from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
+from mechsearch.report.page import pictured
+from mechsearch.report.video import FORMATS, write_film
+from mechsearch.runs import write_whole
+from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.types import MechSearchError
+
+
+@dataclass(frozen=True)
+class Evaluate(Command):
+    """Score policies on a heap set and record every episode.
+
+    Attributes:
+        policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, a run
+            directory, an actor's file (.safetensors), or package.module:factory.
+        heaps: Heap set (.parquet).
+        out: Folder for the recorded episodes, one file for each policy.
+        name: Under which a single policy is reported; by default that of its run, or its own text.
+        objects: Object set; the one that the heaps name by default.
+        split: "held-out", "train" or "all" heaps.
+        limit: Number of heaps, spread evenly; 0 takes all.
+        seed: Of the policies' own randomness; all start alike.
+        camera: View; the one that the policy was trained with, or else the heap set's.
+        workers: Processes; the scores do not depend on their number.
+        summary: Table (.csv) in which to enter the scores.
+        experiment: First column of that table.
+    """
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    heaps: Path
+    out: Path = Path("evaluations")
+    name: str = ""
+    objects: str = ""
+    split: str = "held-out"
+    limit: int = 0
+    seed: int = 0
+    camera: str = ""
+    workers: int = WORKERS or 1
+    summary: Path | None = None
+    experiment: str = "main"
+
+    def run(self) -> None:
+        """Evaluate, print the scores, and write episodes and table."""
+        if not self.policies or (self.name and len(self.policies) > 1):
+            raise MechSearchError(
+                f"{len(self.policies)} policies given; expected one with --name, or at least one"
+            )
+        evaluations = []
+        for policy in self.policies:
+            plan = EvaluationPlan(
+                policy,
+                self.heaps,
+                name=self.name,
+                objects=self.objects,
+                split=self.split,
+                limit=self.limit,
+                seed=self.seed,
+                camera=self.camera,
+            )
+            evaluations.append(record(plan, self.out, self.workers))
+            if self.summary:
+                summary.merge(self.summary, summary_rows(self.experiment, evaluations[-1]))
+        self._print(named(evaluations))
+        wrote(self.out)
+
+    def _print(self, evaluations: dict[str, Evaluation]) -> None:
+        scores = tables.scores_of(evaluations)
+        shown = [tables.score_table(scores), tables.terms_table(scores)]
+        shown += [tables.count_table(evaluations, metric) for metric in METRICS]
+        say("\n".join(map(tables.to_text, shown)))
+        say(tables.NOTE)
+
+
+@dataclass(frozen=True)
+class Show(Command):
+    """Draw a recorded episode: target green, path of the end effector blue.
+
+    Attributes:
+        episodes: File that `mechsearch evaluate` wrote (.npz).
+        out: .png for a picture, .gif or .mp4 for a film.
+        which: "worst", "median" or "best" by reward, or a heap's seed.
+        frames: Of a picture: 2 shows start and end, more make a filmstrip.
+        camera: "overhead" or "tilted".
+        size: Side of each frame [px].
+        rate: Actions a second in a film.
+        objects: Object set; the one that the file names by default.
+    """
+
+    episodes: Annotated[Path, tyro.conf.Positional]
+    out: Path = Path("episode.png")
+    which: str = "median"
+    frames: int = 2
+    camera: str = "overhead"
+    size: int = 360
+    rate: float = 6.0
+    objects: str = ""
+
+    def run(self) -> None:
+        """Draw and write the episode."""
+        if self.out.suffix not in (".png", *FORMATS):
+            raise MechSearchError(
+                f"unknown format {self.out.suffix!r}; choose one of .png, {', '.join(FORMATS)}"
+            )
+        evaluation = episodes.load(self.episodes)
+        record = self._episode(evaluation)
+        models = load_object_set(self.objects or evaluation.header["object_set"]).models
+        config = FilmConfig(self.camera, self.size)
+        if self.out.suffix in FORMATS:
+            write_film(self.out, Film(record, models, config, pusher_model(Pusher())), self.rate)
+        else:
+            film = Film(record, models, config)
+            picture = start_and_end(film) if self.frames == 2 else filmstrip(film, self.frames)
+            write_whole(self.out, picture.save)
+        say(
+            f"{record.policy} on heap {record.heap_seed}: {record.occlusions[0]:.0%} to "
+            f"{record.occlusions[-1]:.0%} hidden in {len(record.actions)} actions "
+            f"({record.end}), reward {record.rewards.sum():.1f}"
+        )
+        wrote(self.out)
+
+    def _episode(self, evaluation: Evaluation) -> EpisodeRecord:
+        ranked = {rank: str(seed) for rank, (_, seed) in pictured(evaluation).items()}
+        seed = ranked.get(self.which, self.which)
+        found = [record for record in evaluation.episodes if str(record.heap_seed) == seed]
+        if not found:
+            some = ", ".join(str(record.heap_seed) for record in evaluation.episodes[:5])
+            raise MechSearchError(
+                f"no episode {self.which!r} in {self.episodes}; choose one of "
+                f"{', '.join(ranked)}, or a heap's seed such as {some}"
+            )
+        return found[0]
+
+
+def record(plan: EvaluationPlan, folder: Path, workers: int) -> Evaluation:
+    """Carry out a plan with a progress bar, and write its episodes into a folder."""
+    with bars() as progress:
+        evaluation = evaluate(plan, workers, progress)
+    episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
+    return evaluation
+
+
+def summary_rows(experiment: str, evaluation: Evaluation) -> list[summary.SummaryRow]:
+    """Return the rows that an evaluation enters into a summary."""
+    header = evaluation.header
+    seed = header["training_seed"] if header["trained"] else header["seed"]
+    return summary.rows(
+        experiment,
+        header["condition"],
+        header["name"],
+        header["seed"] if seed is None else seed,
+        header["training_actions"],
+        score(evaluation.episodes),
+    )
+
+
+def file_name(evaluation: Evaluation) -> str:
+    """Return a name for an evaluation's file that tells seeds and lengths of training apart."""
+    header = evaluation.header
+    words = [header["name"]]
+    if header["trained"]:
+        words += [f"seed{header['training_seed']}", f"{header['training_actions']}"]
+    return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-")
+
+
+def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:
+    """Return evaluations by a name that tells them apart: those that learnt, teachers, others."""
+    found = sorted(evaluations, key=_rank)
+    plain = [str(e.header["name"]) for e in found]
+    seeded = [f"{e.header['name']}, seed {e.header['training_seed']}" for e in found]
+    counted = [
+        f"{name}, {e.header['training_actions']:,} actions"
+        for name, e in zip(seeded, found, strict=True)
+    ]
+    names = list(plain)
+    for better in (seeded, counted, [f"{name} ({i + 1})" for i, name in enumerate(counted)]):
+        names = [
+            new if names.count(old) > 1 else old for old, new in zip(names, better, strict=True)
+        ]
+    return dict(zip(names, found, strict=True))
+
+
+def _rank(evaluation: Evaluation) -> tuple[bool, bool, str, int]:
+    header = evaluation.header
+    name = str(header["name"])
+    return not header["trained"], not name.startswith("teacher-"), name, header["training_actions"]

@@ -1,0 +1,100 @@
+"""`mechsearch assets` and `mechsearch objects`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from mechsearch.cli.command import Command, say, wrote
+from mechsearch.objects.catalog import load_object_set, ycb_folder
+from mechsearch.objects.download import OFFICIAL, pull_ycb
+from mechsearch.objects.model import ObjectModel
+from mechsearch.report.sheet import object_sheet
+from mechsearch.report.tables import Table, to_text
+from mechsearch.runs import write_whole
+
+FLAGGED_ERROR = 0.005
+"""Distance between mesh and convex parts above which an object is flagged [m]."""
+
+
+@dataclass(frozen=True)
+class Pull(Command):
+    """Download the YCB objects; an interrupted download goes on where it stopped.
+
+    Attributes:
+        which: Object set.
+        folder: Where to keep them; the user's cache folder by default.
+        names: Objects to pull, such as 025_mug; all by default.
+        site: Address to pull from.
+    """
+
+    which: Annotated[Literal["ycb"], tyro.conf.Positional]
+    folder: Path | None = None
+    names: tuple[str, ...] = ()
+    site: str = OFFICIAL
+
+    def run(self) -> None:
+        """Download, and say what came."""
+        folder = self.folder or ycb_folder()
+        pulled = pull_ycb(folder, self.site, self.names or None)
+        say(
+            f"{len(pulled.fetched)} objects downloaded, {len(pulled.present)} were there already, "
+            f"{len(pulled.without_scan)} have no scan; they are in {folder}"
+        )
+
+
+@dataclass(frozen=True)
+class List(Command):
+    """List the objects of a set, and those that cannot lie in a heap with the reason.
+
+    Attributes:
+        objects: "household", "ycb", or a folder of meshes with masses.
+    """
+
+    objects: str = "household"
+
+    def run(self) -> None:
+        """Print the table."""
+        found = load_object_set(self.objects)
+        rows = tuple(_row(model) for model in found.models.values())
+        columns = ("object", "category", "size [cm]", "mass [g]", "parts", "hull error [mm]")
+        say(to_text(Table(f"{found.name}: {len(rows)} objects", columns, rows)))
+        flagged = [m.name for m in found.models.values() if m.hull_error > FLAGGED_ERROR]
+        if flagged:
+            say(f"! more than 5 mm between mesh and convex parts: {', '.join(flagged)}\n")
+        if found.excluded:
+            reasons = tuple(found.excluded.items())
+            say(to_text(Table("left out", ("object", "reason"), reasons)))
+
+
+@dataclass(frozen=True)
+class Sheet(Command):
+    """Draw every object of a set on one picture.
+
+    Attributes:
+        objects: "household", "ycb", or a folder of meshes with masses.
+        out: Picture to write.
+        columns: Objects in a row.
+        size: Side of each tile [px].
+    """
+
+    objects: str = "household"
+    out: Path = Path("objects.png")
+    columns: int = 8
+    size: int = 144
+
+    def run(self) -> None:
+        """Draw and write the picture."""
+        picture = object_sheet(load_object_set(self.objects).models, self.columns, self.size)
+        write_whole(self.out, picture.save)
+        wrote(self.out)
+
+
+def _row(model: ObjectModel) -> tuple[str, ...]:
+    size = " x ".join(f"{side * 100:.1f}" for side in np.ptp(model.vertices, axis=0))
+    mark = " !" if model.hull_error > FLAGGED_ERROR else ""
+    error = f"{model.hull_error * 1000:.1f}{mark}"
+    parts, mass = str(len(model.parts)), f"{model.mass * 1000:.0f}"
+    return model.name, model.category, size, mass, parts, error

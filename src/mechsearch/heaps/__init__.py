@@ -1,0 +1,1 @@
+"""Start states: generate heaps, choose their targets, keep them in sets."""

@@ -1,0 +1,213 @@
+"""Heap sets: one Parquet file each, with a manifest, half of it held out."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mechsearch.camera import preset
+from mechsearch.heaps.heap import Heap
+from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.objects.model import ObjectSet
+from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.render.renderer import body_of
+from mechsearch.render.visibility import occlusion
+from mechsearch.runs import write_whole
+from mechsearch.sim.settle import REST_LIMIT, drift
+from mechsearch.types import MechSearchError
+
+FORMAT = 1
+_SCHEMA = pa.schema(
+    [
+        ("objects", pa.list_(pa.string())),
+        ("poses", pa.list_(pa.float64())),
+        ("target", pa.int32()),
+        ("occlusion", pa.float64()),
+        ("seed", pa.int64()),
+        ("count", pa.int32()),
+        ("condition", pa.string()),
+        ("held_out", pa.bool_()),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HeapSet:
+    """Heaps and where they come from.
+
+    Attributes:
+        heaps: All heaps, in a fixed order.
+        manifest: Configuration, engine version, object hashes, attempts and acceptance rate.
+        hash: SHA-256 of heaps and manifest.
+    """
+
+    heaps: tuple[Heap, ...]
+    manifest: Mapping[str, Any]
+    hash: str
+
+    @property
+    def train(self) -> list[Heap]:
+        """The half that policies may learn from."""
+        return [heap for heap in self.heaps if not heap.held_out]
+
+    @property
+    def held_out(self) -> list[Heap]:
+        """The half that is kept for evaluation."""
+        return [heap for heap in self.heaps if heap.held_out]
+
+    @property
+    def camera(self) -> str:
+        """Name of the view that occlusion is measured from."""
+        return str(self.manifest["config"]["camera"])
+
+
+def heap_to_json(heap: Heap) -> dict[str, Any]:
+    """Return a heap as plain lists and numbers."""
+    return {
+        "objects": list(heap.objects),
+        "poses": heap.poses.ravel().tolist(),
+        "target": heap.target,
+        "occlusion": heap.occlusion,
+        "seed": heap.seed,
+        "count": heap.count,
+        "condition": heap.condition,
+        "held_out": heap.held_out,
+    }
+
+
+def heap_from_json(row: Mapping[str, Any]) -> Heap:
+    """Return the heap that `heap_to_json` wrote."""
+    poses = np.array(row["poses"], np.float64).reshape(-1, 7)
+    return Heap(**{**row, "objects": tuple(row["objects"]), "poses": poses})
+
+
+def save(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> HeapSet:
+    """Write a heap set, whole or not at all."""
+    heap_set = HeapSet(tuple(heaps), dict(manifest), _hash(heaps, manifest))
+    metadata = {
+        b"mechsearch": json.dumps(manifest, sort_keys=True).encode(),
+        b"sha256": heap_set.hash.encode(),
+    }
+    table = pa.Table.from_pylist([heap_to_json(heap) for heap in heaps], _SCHEMA)
+    write_whole(
+        path, lambda partial: pq.write_table(table.replace_schema_metadata(metadata), partial)
+    )
+    return heap_set
+
+
+def load(path: Path) -> HeapSet:
+    """Read a heap set.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged, or no heap set of a known format.
+    """
+    if not path.is_file():
+        raise MechSearchError(f"no heap set at {path}; make one with `mechsearch heaps generate`")
+    try:
+        table = pq.read_table(path)
+        metadata = table.schema.metadata or {}
+        manifest = json.loads(metadata[b"mechsearch"])
+        heaps = tuple(heap_from_json(row) for row in table.to_pylist())
+        recorded = metadata[b"sha256"].decode()
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+        raise MechSearchError(f"{path} is not a heap set, or is damaged: {error}") from None
+    if manifest.get("format") != FORMAT:
+        raise MechSearchError(
+            f"{path} has heap set format {manifest.get('format')}; this version reads {FORMAT}"
+        )
+    found = _hash(heaps, manifest)
+    if found != recorded:
+        raise MechSearchError(f"{path} is damaged: its content hashes to {found}, not {recorded}")
+    return HeapSet(heaps, manifest, found)
+
+
+def _hash(heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> str:
+    digest = hashlib.sha256(json.dumps(manifest, sort_keys=True).encode())
+    for heap in heaps:
+        row = heap_to_json(heap)
+        digest.update(heap.poses.tobytes())
+        digest.update(json.dumps({**row, "poses": None}, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+@cache
+def object_set(spec: str) -> ObjectSet:
+    """Return an object set, loaded once in each process."""
+    return load_object_set(spec)
+
+
+def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
+    """Refuse a heap set that was made with other objects.
+
+    Raises:
+        MechSearchError: Naming the first objects that are missing or differ.
+    """
+    recorded, present = heap_set.manifest["object_hashes"], set_hashes(objects)
+    used = sorted({name for heap in heap_set.heaps for name in heap.objects})
+    wrong = [name for name in used if present.get(name) != recorded[name]]
+    if wrong:
+        raise MechSearchError(
+            f"this heap set was made with {heap_set.manifest['config']['objects']!r} objects, and "
+            f"{len(wrong)} of the {len(used)} that it uses are missing from or differ in "
+            f"{objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
+        )
+
+
+@dataclass(frozen=True)
+class Check:
+    """What verifying one heap found.
+
+    Attributes:
+        seed: The heap.
+        drift: How far its most restless object moves in one simulated second [m].
+        occlusion_error: Recorded minus measured occlusion of the target.
+    """
+
+    seed: int
+    drift: float
+    occlusion_error: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the heap is at rest and its target is occluded as recorded."""
+        return self.drift <= REST_LIMIT and abs(self.occlusion_error) < 1e-9
+
+
+@dataclass(frozen=True)
+class _CheckHeap:
+    objects: str
+    camera: str
+
+    def __call__(self, heap: Heap) -> Check:
+        models = [object_set(self.objects).models[name] for name in heap.objects]
+        bodies = [body_of(model) for model in models]
+        measured = occlusion(bodies, preset(self.camera), heap.poses, heap.target)
+        return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
+
+
+def verify(
+    heap_set: HeapSet, objects: str, workers: int = 1, progress: Progress = silent
+) -> Iterator[Check]:
+    """Restore every heap, and measure its rest and its target's occlusion.
+
+    Args:
+        heap_set: What to verify.
+        objects: Object set, as given to `load_object_set`.
+        workers: Number of processes.
+        progress: Told after each heap.
+
+    Raises:
+        MechSearchError: If the set was made with other objects.
+    """
+    check_objects(heap_set, object_set(objects))
+    check = _CheckHeap(objects, heap_set.camera)
+    for i, result in enumerate(map_in_order(check, heap_set.heaps, workers)):
+        progress("verified", i + 1, len(heap_set.heaps))
+        yield result

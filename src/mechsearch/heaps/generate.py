@@ -1,0 +1,284 @@
+"""The paper's heap generator (section IV-A): drop, settle, choose an occluded target, or discard.
+
+Every attempt is a pure function of (seed, count, number of the attempt), and accepted attempts are
+taken in their order, so a heap set does not depend on the number of workers.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mechsearch.camera import preset
+from mechsearch.geometry import random_quaternion, rotation_from_quaternion
+from mechsearch.heaps.dataset import FORMAT, HeapSet, heap_from_json, heap_to_json, object_set, save
+from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
+from mechsearch.objects.catalog import set_hashes
+from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.render.renderer import body_of
+from mechsearch.render.visibility import occlusion
+from mechsearch.runs import append_line, read_json, read_lines, write_json, write_whole
+from mechsearch.sim.settle import REST_LIMIT, drift, settle
+from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.world import ENGINE_VERSION, Wall, World
+from mechsearch.types import Floats, MechSearchError
+
+DROPS = ("wall", "open")
+
+
+@dataclass(frozen=True)
+class GenerateConfig:
+    """What to generate.
+
+    Attributes:
+        condition: "single" or "dual".
+        heaps: How many heaps in all, equally many of each object count.
+        objects: Object set: "household", "ycb" or a folder.
+        seed: Of all randomness.
+        drop: "wall" confines the objects while they fall; "open" lets them scatter.
+        camera: View that occlusion is measured from.
+        least: Least occlusion of a target.
+        most: Greatest occlusion of a target.
+        height: From which an object's lowest point drops [m]; higher only over a higher heap.
+        counts: Objects in each heap; empty means the paper's.
+    """
+
+    condition: str = "single"
+    heaps: int = 60
+    objects: str = "household"
+    seed: int = 0
+    drop: str = "wall"
+    camera: str = "overhead"
+    least: float = 0.1
+    most: float = 0.9
+    height: float = 0.3
+    counts: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_condition(self.condition)
+        preset(self.camera)
+        if self.drop not in DROPS:
+            raise MechSearchError(f"unknown drop {self.drop!r}; choose one of {', '.join(DROPS)}")
+        quotas = len(self.object_counts)
+        if self.heaps < 1 or self.heaps % quotas:
+            raise MechSearchError(
+                f"{self.heaps} heaps cannot be shared equally by the object counts "
+                f"{self.object_counts}; expected a positive multiple of {quotas}"
+            )
+        if not 0.0 <= self.least < self.most <= 1.0:
+            raise MechSearchError(
+                f"occlusion bounds {self.least} and {self.most}: expected 0 <= least < most <= 1"
+            )
+
+    @property
+    def object_counts(self) -> tuple[int, ...]:
+        """Objects in each heap, one entry for each equally large part of the set."""
+        return self.counts or CONDITIONS[self.condition]
+
+
+def generate(
+    config: GenerateConfig, path: Path, workers: int = 1, progress: Progress = silent
+) -> HeapSet:
+    """Generate a heap set and write it to `path` (Parquet); continue if it was cut off.
+
+    Raises:
+        MechSearchError: If `path` holds another set, or the objects are too few.
+    """
+    objects = object_set(config.objects)
+    needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
+    if len(objects.models) < needed:
+        raise MechSearchError(
+            f"object set {objects.name!r} has {len(objects.models)} objects that can lie in a "
+            f"heap; these heaps need {needed} distinct ones"
+        )
+    journal = _open_journal(config, objects, path)
+    quota = config.heaps // len(config.object_counts)
+    heaps: list[Heap] = []
+    attempts: dict[int, int] = {}
+    for count in config.object_counts:
+        found, attempts[count] = _fill(config, count, quota, journal, workers, progress)
+        heaps += _hold_out_half(found)
+    manifest = {
+        "format": FORMAT,
+        "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
+        "engine": ENGINE_VERSION,
+        "object_hashes": set_hashes(objects),
+        "attempts": {str(count): number for count, number in attempts.items()},
+        "acceptance_rate": len(heaps) / max(sum(attempts.values()), 1),
+    }
+    heap_set = save(path, heaps, manifest)
+    journal.unlink()
+    journal.with_suffix(".json").unlink()
+    return heap_set
+
+
+def attempt(config: GenerateConfig, objects: ObjectSet, count: int, number: int) -> Heap | None:
+    """Drop one heap; return None if it is discarded.
+
+    Args:
+        config: What to generate.
+        objects: The object set.
+        count: Objects in each heap.
+        number: Which attempt at this count.
+    """
+    seeds = np.random.SeedSequence([config.seed, count, number])
+    rng = np.random.default_rng(seeds)
+    walls = _walls(config.condition, count, rng)
+    chosen = rng.choice(len(objects.models), count * len(walls), replace=False)
+    names = tuple(list(objects.models)[i] for i in chosen)
+    models = [objects.models[name] for name in names]
+    world = World(models, walls=walls if config.drop == "wall" else ())
+    poses = _drop(world, models, walls, config, rng)
+    workspace = Workspace()
+    if poses is None or any(workspace.off_table(pose) for pose in poses):
+        return None
+    if drift(models, poses) > REST_LIMIT:
+        return None
+    bodies = [body_of(model) for model in models]
+    camera = preset(config.camera)
+    for target in rng.permutation(len(names)):
+        inside = np.abs(poses[target, :2]).max() < workspace.half
+        hidden = occlusion(bodies, camera, poses, int(target))
+        if inside and config.least <= hidden <= config.most:
+            identity = int(seeds.generate_state(1, np.uint64)[0] >> 1)
+            return Heap(names, poses, int(target), hidden, identity, count, config.condition, False)
+    return None
+
+
+def _walls(condition: str, count: int, rng: np.random.Generator) -> tuple[Wall, ...]:
+    """Return where the heaps drop: one near the centre, or one on each side of it."""
+    radius = 0.1 * float(np.cbrt(count / 5))
+    if condition == "single":
+        x, y = rng.uniform(-0.05, 0.05, 2)
+        return (Wall(float(x), float(y), radius),)
+    x, y = rng.uniform(-0.02, 0.02, 2)
+    angle, half = rng.uniform(0, 2 * np.pi), radius + rng.uniform(0.02, 0.04)
+    dx, dy = half * np.cos(angle), half * np.sin(angle)
+    return (
+        Wall(float(x + dx), float(y + dy), radius),
+        Wall(float(x - dx), float(y - dy), radius),
+    )
+
+
+def _orientation(
+    model: ObjectModel, reach: float, rng: np.random.Generator
+) -> tuple[Floats, float, Floats]:
+    """Return an orientation (4,), its lowest point [m], and an offset (2,) that fits the wall."""
+    points = np.concatenate(model.parts)
+    best: tuple[float, Floats, float, Floats] | None = None
+    for _ in range(30):
+        quaternion, offset = random_quaternion(rng), rng.uniform(-0.04, 0.04, 2)
+        turned = points @ rotation_from_quaternion(quaternion).T
+        width = float(np.linalg.norm(turned[:, :2] + offset, axis=1).max())
+        if best is None or width < best[0]:
+            best = width, quaternion, float(turned[:, 2].min()), offset
+        if width < reach:
+            break
+    assert best is not None
+    return best[1:]
+
+
+def _drop(
+    world: World,
+    models: Sequence[ObjectModel],
+    walls: Sequence[Wall],
+    config: GenerateConfig,
+    rng: np.random.Generator,
+) -> Floats | None:
+    """Drop all objects one after another; return their poses at rest, or None."""
+    waiting = [[0.0, 0.0, 100.0 + 3.0 * i, 1.0, 0.0, 0.0, 0.0] for i in range(world.count)]
+    world.reset(np.array(waiting))
+    pause = round(0.16 / world.config.time_step)
+    for i, model in enumerate(models):
+        wall = walls[i % len(walls)]
+        reach = wall.radius if config.drop == "wall" else np.inf
+        quaternion, low, offset = _orientation(model, reach, rng)
+        fallen = world.poses[:i, 2].max(initial=0.0)
+        height = max(config.height, fallen + 0.1) - low
+        x, y = wall.x + offset[0], wall.y + offset[1]
+        world.place(i, np.array([x, y, height, *quaternion]))
+        world.step(pause)
+    world.step(round(0.5 / world.config.time_step))
+    world.remove_walls()
+    if not settle(world) or world.failure() is not None:
+        return None
+    return world.poses
+
+
+def _fill(
+    config: GenerateConfig, count: int, quota: int, journal: Path, workers: int, progress: Progress
+) -> tuple[list[Heap], int]:
+    """Return the first `quota` accepted heaps of one count, and the attempts they took."""
+    label = f"{config.condition} heaps of {count}"
+    done = {row["number"]: row["heap"] for row in read_lines(journal) if row["count"] == count}
+    heaps: list[Heap] = []
+    tried = 0
+    while tried in done and len(heaps) < quota:
+        if done[tried] is not None:
+            heaps.append(heap_from_json(done[tried]))
+        tried += 1
+    progress(label, len(heaps), quota)
+    if len(heaps) == quota:
+        return heaps, tried
+    for heap in map_in_order(_Attempt(config, count), _numbers(tried), workers):
+        append_line(journal, {"count": count, "number": tried, "heap": heap and heap_to_json(heap)})
+        tried += 1
+        if heap is not None:
+            heaps.append(heap)
+            progress(label, len(heaps), quota)
+        if len(heaps) == quota:
+            break
+        if tried >= 200 and len(heaps) < tried / 200:
+            raise MechSearchError(
+                f"only {len(heaps)} of {tried} drops of {count} objects were accepted; these "
+                "objects hardly ever hide each other under these conditions"
+            )
+    return heaps, tried
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """`attempt` with its first arguments bound, for worker processes."""
+
+    config: GenerateConfig
+    count: int
+
+    def __call__(self, number: int) -> Heap | None:
+        return attempt(self.config, object_set(self.config.objects), self.count, number)
+
+
+def _numbers(start: int) -> Iterator[int]:
+    while True:
+        yield start
+        start += 1
+
+
+def _hold_out_half(heaps: list[Heap]) -> list[Heap]:
+    """Hold out every second heap, so that each object count is halved."""
+    return [replace(heap, held_out=i % 2 == 1) for i, heap in enumerate(heaps)]
+
+
+def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Path:
+    """Return the file of attempts so far, empty or of the very same set."""
+    journal = path.with_name(f".{path.stem}.attempts.jsonl")
+    identity = {
+        "config": {**asdict(config), "counts": list(config.object_counts)},
+        "engine": ENGINE_VERSION,
+        "object_hashes": dict(set_hashes(objects)),
+    }
+    header = journal.with_suffix(".json")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        raise MechSearchError(f"{path} exists already; name another file or remove it")
+    if header.exists() and read_json(header, "journal") != json.loads(json.dumps(identity)):
+        raise MechSearchError(
+            f"{header.name} beside {path} belongs to another heap set that was cut off; finish "
+            "that one with its own settings, or remove the file and its .jsonl"
+        )
+    write_json(header, identity)
+    lines = [json.dumps(row) + "\n" for row in read_lines(journal)]
+    write_whole(journal, lambda partial: partial.write_text("".join(lines)))
+    return journal

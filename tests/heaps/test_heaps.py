@@ -1,0 +1,162 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mechsearch.env.register import embedded_heaps, make_env
+from mechsearch.heaps.dataset import check_objects, heap_from_json, heap_to_json, load, save, verify
+from mechsearch.heaps.generate import GenerateConfig, attempt, generate
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.types import MechSearchError
+
+SMALL = GenerateConfig(heaps=4, counts=(5, 6), seed=5)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    path = tmp_path_factory.mktemp("heaps") / "small.parquet"
+    return path, generate(SMALL, path)
+
+
+def test_a_set_has_equally_many_heaps_of_each_count_and_half_of_each_is_held_out(small):
+    _, heaps = small
+    counts = [(heap.count, heap.held_out) for heap in heaps.heaps]
+    assert sorted(counts) == [(5, False), (5, True), (6, False), (6, True)]
+    assert len({heap.seed for heap in heaps.heaps}) == 4
+
+
+def test_targets_are_occluded_within_bounds_and_objects_distinct(small):
+    for heap in small[1].heaps:
+        assert 0.1 <= heap.occlusion <= 0.9
+        assert len(set(heap.objects)) == len(heap.objects) == heap.count
+
+
+def test_what_is_written_is_read_back_exactly(small):
+    path, heaps = small
+    again = load(path)
+    assert again.hash == heaps.hash
+    for a, b in zip(again.heaps, heaps.heaps, strict=True):
+        np.testing.assert_array_equal(a.poses, b.poses)
+        assert heap_to_json(a) == heap_to_json(b)
+
+
+def test_verification_restores_every_heap_and_finds_a_moved_one(small):
+    _, heaps = small
+    assert all(check.passed for check in verify(heaps, "household"))
+    moved = replace(heaps.heaps[0], poses=heaps.heaps[0].poses + np.eye(7)[2] * 0.02)
+    wrong = replace(heaps, heaps=(moved, *heaps.heaps[1:]))
+    assert [check.passed for check in verify(wrong, "household")] == [False, True, True, True]
+
+
+@pytest.mark.timeout(120)
+def test_two_workers_make_the_same_heaps_as_one(small, tmp_path):
+    assert generate(SMALL, tmp_path / "two.parquet", workers=2).hash == small[1].hash
+
+
+def test_a_set_that_was_cut_off_is_continued_and_comes_out_the_same(small, tmp_path):
+    path = tmp_path / "cut.parquet"
+
+    class CutError(Exception):
+        pass
+
+    def cut(label, done, total):
+        if done == 2:
+            raise CutError
+
+    with pytest.raises(CutError):
+        generate(SMALL, path, progress=cut)
+    assert not path.exists()
+    journal = next(tmp_path.glob(".*.jsonl"))
+    before = len(journal.read_text().splitlines())
+    journal.write_text(journal.read_text() + '{"torn')
+    assert before > 0
+    assert generate(SMALL, path).hash == small[1].hash
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_journal_of_another_set_is_not_continued(tmp_path):
+    path = tmp_path / "set.parquet"
+    (tmp_path / ".set.attempts.json").write_text(json.dumps({"config": "other"}))
+    with pytest.raises(MechSearchError, match="another heap set"):
+        generate(SMALL, path)
+
+
+def test_an_attempt_depends_on_its_number_alone():
+    objects = load_object_set("household")
+    found = [attempt(SMALL, objects, 5, number) for number in (3, 3)]
+    assert (found[0] is None) == (found[1] is None)
+    if found[0] is not None:
+        np.testing.assert_array_equal(found[0].poses, found[1].poses)
+
+
+def test_dual_heaps_lie_apart_and_hold_distinct_objects():
+    heaps = embedded_heaps("dual").heaps
+    sides = []
+    for heap in heaps:
+        assert len(set(heap.objects)) == 2 * heap.count
+        first, second = heap.poses[::2, :2].mean(0), heap.poses[1::2, :2].mean(0)
+        assert np.linalg.norm(first - second) > 0.15
+        sides.append(heap.target % 2)
+    assert 0.3 < np.mean(sides) < 0.7
+
+
+@pytest.mark.parametrize("condition", ["single", "dual"])
+def test_the_embedded_heaps_fit_the_embedded_objects(condition):
+    env = make_env(condition)
+    obs, info = env.reset(seed=0)
+    assert obs["depth"].shape == (1, 64, 64)
+    assert 0.1 <= info["occlusion"] <= 0.9
+
+
+def test_every_kind_of_damage_is_found(small, tmp_path):
+    path, heaps = small
+    data = bytearray(path.read_bytes())
+    broken = tmp_path / "broken.parquet"
+    broken.write_bytes(data[: len(data) // 2])
+    with pytest.raises(MechSearchError, match="damaged"):
+        load(broken)
+    table = pq.read_table(path)
+    columns = table.to_pydict()
+    columns["target"][0] += 1
+    pq.write_table(pa.Table.from_pydict(columns, schema=table.schema), broken)
+    with pytest.raises(MechSearchError, match="damaged"):
+        load(broken)
+    with pytest.raises(MechSearchError, match="no heap set"):
+        load(tmp_path / "absent.parquet")
+    save(broken, heaps.heaps, {**heaps.manifest, "format": 99})
+    with pytest.raises(MechSearchError, match="format 99"):
+        load(broken)
+
+
+def test_heaps_of_other_objects_are_refused(small, boxes):
+    with pytest.raises(MechSearchError, match=r"'household'.*'boxes'"):
+        check_objects(small[1], boxes)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"condition": "triple"}, "'triple'.*single, dual"),
+        ({"drop": "throw"}, "'throw'.*wall, open"),
+        ({"heaps": 4}, "multiple of 3"),
+        ({"camera": "side"}, "'side'"),
+        ({"least": 0.9, "most": 0.1}, "least < most"),
+    ],
+)
+def test_wrong_settings_are_named(settings, words):
+    with pytest.raises(MechSearchError, match=words):
+        GenerateConfig(**settings)
+
+
+def test_an_existing_set_is_never_overwritten(small):
+    with pytest.raises(MechSearchError, match="exists already"):
+        generate(SMALL, small[0])
+
+
+def test_a_heap_survives_json():
+    heap = embedded_heaps("single").heaps[0]
+    again = heap_from_json(json.loads(json.dumps(heap_to_json(heap))))
+    np.testing.assert_array_equal(again.poses, heap.poses)

@@ -1,0 +1,177 @@
+"""Claims about sets from folders, and sets by name."""
+
+import shutil
+
+import pytest
+import trimesh
+
+from mechsearch.objects.catalog import flagged, load_object_set, set_hashes
+from mechsearch.objects.folder import SCAN, find_meshes, load_folder
+from mechsearch.objects.masses import read_masses, ycb_masses
+from mechsearch.types import MechSearchError
+
+
+def write_masses(folder, *rows, header="object,mass_kg"):
+    (folder / "masses.csv").write_text("\n".join([header, *rows]) + "\n")
+
+
+def put(path, sides=(0.06, 0.08, 0.1)):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box(sides).export(path)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A brick, a plank that is too long, and a cube."""
+    put(tmp_path / "brick.obj")
+    put(tmp_path / "plank.stl", (0.5, 0.05, 0.02))
+    put(tmp_path / "cube.glb", (0.05, 0.05, 0.05))
+    write_masses(tmp_path, "brick,0.3", "plank,0.2", "cube,0.1")
+    return tmp_path
+
+
+def test_a_folder_of_meshes_is_a_set_in_order_of_names(folder):
+    found = load_folder(folder, workers=1)
+    assert list(found.models) == ["brick", "cube"]
+    assert found.name == folder.name
+    assert found.models["cube"].mass == 0.1
+    assert "too large" in found.excluded["plank"]
+
+
+def test_a_set_is_the_same_from_the_cache_and_for_any_number_of_workers(
+    folder, tmp_path_factory, monkeypatch
+):
+    fresh = set_hashes(load_folder(folder, workers=1))
+    assert set_hashes(load_folder(folder, workers=1)) == fresh
+    monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path_factory.mktemp("other")))
+    assert set_hashes(load_folder(folder, workers=2)) == fresh
+
+
+def test_what_is_in_the_cache_is_not_prepared_again(folder, monkeypatch):
+    load_folder(folder, workers=1)
+
+    def refuse(*_):
+        raise AssertionError("prepared again")
+
+    monkeypatch.setattr("mechsearch.objects.parallel.prepare_into", refuse)
+    assert list(load_folder(folder).models) == ["brick", "cube"]
+
+
+def test_the_official_layout_takes_published_masses(tmp_path):
+    put(tmp_path / "036_wood_block" / SCAN)
+    found = load_folder(tmp_path, workers=1)
+    assert found.models["036_wood_block"].mass == 0.729
+    assert found.models["036_wood_block"].category == "block"
+
+
+def test_a_table_in_the_folder_goes_before_the_published_one(tmp_path):
+    put(tmp_path / "036_wood_block" / SCAN)
+    write_masses(tmp_path, "036_wood_block,0.5,plank", header="object,mass_kg,category")
+    model = load_folder(tmp_path, workers=1).models["036_wood_block"]
+    assert (model.mass, model.category) == (0.5, "plank")
+
+
+def test_missing_masses_are_one_error_that_names_the_objects(folder):
+    write_masses(folder, "brick,0.3")
+    with pytest.raises(MechSearchError, match=r"no mass for cube, plank .*masses\.csv"):
+        load_folder(folder)
+
+
+def test_corrupt_meshes_are_one_error_that_names_them_and_the_rest_is_kept(folder, monkeypatch):
+    (folder / "cube.glb").write_bytes(b"glTF?")
+    (folder / "plank.stl").write_bytes(b"")
+    with pytest.raises(MechSearchError, match=r"cube\.glb.*plank\.stl"):
+        load_folder(folder, workers=1)
+    (folder / "cube.glb").unlink()
+    (folder / "plank.stl").unlink()
+    monkeypatch.setattr("mechsearch.objects.parallel.prepare_into", None)
+    assert list(load_folder(folder).models) == ["brick"]
+
+
+def test_a_missing_folder_a_file_and_an_empty_folder_are_refused(tmp_path):
+    with pytest.raises(MechSearchError, match="does not exist; expected"):
+        load_folder(tmp_path / "gone")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(MechSearchError, match="is not a folder; expected"):
+        load_folder(tmp_path / "file")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MechSearchError, match="holds no objects; expected YCB objects"):
+        load_folder(tmp_path / "empty")
+
+
+def test_two_meshes_of_one_name_are_refused(tmp_path):
+    put(tmp_path / "a.obj")
+    put(tmp_path / "a.stl")
+    with pytest.raises(MechSearchError, match=r"a\.obj and a\.stl .*'a'"):
+        find_meshes(tmp_path)
+
+
+def test_a_folder_where_nothing_can_lie_in_a_heap_is_refused_with_reasons(tmp_path):
+    put(tmp_path / "ship.stl", (60, 80, 100))
+    write_masses(tmp_path, "ship,0.3")
+    with pytest.raises(MechSearchError, match=r"no object .*ship: too large.*units metres"):
+        load_folder(tmp_path, workers=1)
+
+
+@pytest.mark.parametrize("value", ["heavy", "", "-1", "0", "nan", "inf"])
+def test_a_mass_that_is_no_positive_number_is_named(tmp_path, value):
+    write_masses(tmp_path, f"brick,{value}")
+    with pytest.raises(MechSearchError, match=r"mass of 'brick' in .*positive number of kilograms"):
+        read_masses(tmp_path / "masses.csv")
+
+
+def test_a_table_without_its_columns_is_refused(tmp_path):
+    write_masses(tmp_path, "brick,3", header="name,grams")
+    with pytest.raises(MechSearchError, match=r"columns name, grams; expected object,mass_kg"):
+        read_masses(tmp_path / "masses.csv")
+    (tmp_path / "masses.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(MechSearchError, match="cannot read the masses"):
+        read_masses(tmp_path / "masses.csv")
+
+
+def test_the_published_table_has_the_masses_of_the_paper():
+    table = ycb_masses()
+    expected = {
+        "002_master_chef_can": 0.414,
+        "010_potted_meat_can": 0.370,
+        "021_bleach_cleanser": 1.131,
+        "025_mug": 0.118,
+        "035_power_drill": 0.895,
+        "056_tennis_ball": 0.058,
+        "077_rubiks_cube": 0.252,
+    }
+    assert {name: table[name].mass for name in expected} == expected
+    assert all(0.0005 < entry.mass < 2 for entry in table.values())
+
+
+def test_an_unknown_set_is_refused_with_the_choices():
+    with pytest.raises(MechSearchError, match="'kitchen'; choose household, ycb, or a folder"):
+        load_object_set("kitchen")
+
+
+def test_ycb_without_a_download_names_both_ways():
+    with pytest.raises(MechSearchError, match=r"mechsearch assets pull ycb`, or pass the folder"):
+        load_object_set("ycb")
+
+
+def test_downloaded_ycb_objects_without_a_published_mass_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path))
+    put(tmp_path / "ycb" / "036_wood_block" / SCAN)
+    put(tmp_path / "ycb" / "999_novelty" / SCAN)
+    found = load_object_set("ycb", workers=1)
+    assert (found.name, list(found.models)) == ("ycb", ["036_wood_block"])
+    assert found.excluded == {"999_novelty": "no published mass"}
+
+
+def test_a_folder_is_a_set_by_its_path(folder):
+    assert list(load_object_set(str(folder), workers=1).models) == ["brick", "cube"]
+    assert flagged(load_object_set(folder)) == {}
+
+
+def test_real_ycb_objects_make_a_set(ycb, tmp_path, monkeypatch):
+    monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path / "cache"))
+    for name in ("013_apple", "029_plate", "036_wood_block", "062_dice"):
+        shutil.copytree(ycb / name, tmp_path / "some" / name)
+    found = load_object_set(tmp_path / "some", workers=1)
+    assert list(found.models) == ["013_apple", "036_wood_block"]
+    assert list(found.excluded) == ["029_plate", "062_dice"]

@@ -1,0 +1,187 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mechsearch.agent.policy import load_actor
+from mechsearch.agent.weights import load_archive
+from mechsearch.runs import read_lines
+from mechsearch.train.loop import train
+from mechsearch.train.session import Session
+from mechsearch.types import ACTOR_KEYS, MechSearchError
+
+
+def lines(directory, kind=None):
+    return [r for r in read_lines(directory / "metrics.jsonl") if kind in (None, r["kind"])]
+
+
+def test_a_run_writes_all_its_files(config, make_parts, tmp_path):
+    scores = train(config, make_parts(), tmp_path / "run")
+    run = tmp_path / "run"
+    assert {p.name for p in run.iterdir()} == {
+        "config.json", "metrics.jsonl", "speed.jsonl", "tensorboard",
+        "checkpoints", "actors", "actor.safetensors",
+    }  # fmt: skip
+    assert [r["step"] for r in lines(run, "validation")] == [50, 100, 120]
+    assert lines(run, "validation")[-1]["reward"] == scores["reward"]
+    assert load_actor(run).training_actions == 120
+    assert len(list((run / "checkpoints").iterdir())) == 2
+    assert not list(run.rglob("*.partial*"))
+
+
+def test_an_episode_line_tells_terms_choices_beliefs_and_updates(config, make_parts, tmp_path):
+    train(config, make_parts(), tmp_path / "run")
+    last = lines(tmp_path / "run", "episode")[-1]
+    assert last["term_near"] + last["term_idle"] == pytest.approx(last["return"])
+    shares = [last[f"chosen_{name}"] for name in ("actor", "straight", "zigzag")]
+    assert sum(shares) == pytest.approx(1)
+    assert {"q", "return_followed", "saturated", "update_critic_loss", "update_q"} <= set(last)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(config, make_parts, tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(replace(config, seed=seed), make_parts(), tmp_path / name)
+    a, b, c = ((tmp_path / n / "metrics.jsonl").read_bytes() for n in "abc")
+    assert a == b
+    assert a != c
+    actors = [(tmp_path / n / "actor.safetensors").read_bytes() for n in "ab"]
+    assert actors[0] == actors[1]
+
+
+def test_a_resumed_run_is_the_run_that_was_never_stopped(config, make_parts, tmp_path):
+    train(config, make_parts(), tmp_path / "whole")
+    train(replace(config, actions=77), make_parts(), tmp_path / "halves")
+    train(config, make_parts(), tmp_path / "halves", resume=True)
+    # The shorter run evaluated once more, at its end; that line is not of the longer run.
+    whole = (tmp_path / "whole" / "metrics.jsonl").read_bytes()
+    assert (tmp_path / "halves" / "metrics.jsonl").read_bytes() == whole
+    for name in ("actor.safetensors", "checkpoints/" + last_checkpoint(tmp_path / "whole")):
+        assert (tmp_path / "halves" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_killed_run_resumes_exactly(config, make_parts, reach_env, tmp_path):
+    class Killed(Exception):  # noqa: N818
+        pass
+
+    class DyingEnv(reach_env):
+        def step(self, action):
+            if self.total == 93:
+                raise Killed
+            return super().step(action)
+
+    train(config, make_parts(), tmp_path / "whole")
+    with pytest.raises(Killed):
+        train(config, make_parts(DyingEnv()), tmp_path / "killed")
+    train(config, make_parts(), tmp_path / "killed", resume=True)
+    for name in ("metrics.jsonl", "actor.safetensors"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def last_checkpoint(run):
+    return max(path.name for path in (run / "checkpoints").iterdir())
+
+
+def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp_path):
+    config = replace(config, checkpoint_every=1)
+    train(config, make_parts(reach_env(fail_at=30)), tmp_path / "run")
+    path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
+    archive = load_archive(path, "mechsearch checkpoint")
+    assert archive.meta["counts"]["failures"] == 1
+    kept = int(archive.tensors["replay/complete"].sum())
+    assert kept == archive.meta["counts"]["step"] - 1
+    reward, complete = archive.tensors["replay/reward"], archive.tensors["replay/complete"]
+    assert torch.isfinite(reward[complete]).all()
+
+
+def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):
+    config = replace(config, updates_per_action=1.5, checkpoint_every=1)
+    train(config, make_parts(), tmp_path / "run")
+    path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
+    counts = load_archive(path, "mechsearch checkpoint").meta["counts"]
+    assert counts["updates"] == int(1.5 * (counts["step"] - config.warmup))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"teachers": ()},
+        {"critic_keys": ACTOR_KEYS},
+        {"noise": {"correlation": 0.8}},
+    ],
+)
+def test_ablations_are_settings_of_the_same_loop(changes, config, make_parts, tmp_path):
+    if "noise" in changes:
+        changes = {"noise": replace(config.noise, **changes["noise"])}
+    config = replace(config, actions=40, evaluate_every=40, **changes)
+    train(config, make_parts(teachers=bool(config.teachers)), tmp_path / "run")
+    assert len(lines(tmp_path / "run", "validation")) == 1
+
+
+def test_evaluation_is_without_noise_and_teachers(config, make_parts, tmp_path, score):
+    train(config, make_parts(), tmp_path / "run")
+    again = score(load_actor(tmp_path / "run"))
+    assert lines(tmp_path / "run", "validation")[-1]["reward"] == again["reward"]
+
+
+def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(
+    config, make_parts, tmp_path
+):
+    train(config, make_parts(), tmp_path / "run")
+    records = lines(tmp_path / "run", "episode")
+    assert np.mean([r["chosen_straight"] + r["chosen_zigzag"] for r in records]) > 0.3
+
+
+def test_a_directory_with_a_run_is_not_overwritten(config, make_parts, tmp_path):
+    train(replace(config, actions=20), make_parts(), tmp_path)
+    before = (tmp_path / "metrics.jsonl").read_bytes()
+    with pytest.raises(MechSearchError, match="holds a run already"):
+        train(config, make_parts(), tmp_path)
+    with pytest.raises(MechSearchError, match="seed was 0 and is 3"):
+        train(replace(config, seed=3), make_parts(), tmp_path, resume=True)
+    assert (tmp_path / "metrics.jsonl").read_bytes() == before
+
+
+def test_an_environment_without_privileged_keys_is_refused(config, make_parts, reach_env):
+    env = reach_env()
+    del (space := dict(env.observation_space.spaces))["target_offset"]
+    env.observation_space = type(env.observation_space)(space)
+    with pytest.raises(MechSearchError, match=r"target_offset.*privileged"):
+        Session(config, make_parts(env))
+
+
+def test_a_damaged_checkpoint_is_named(config, make_parts, tmp_path):
+    train(config, make_parts(), tmp_path)
+    path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    with pytest.raises(MechSearchError, match=path.name):
+        train(replace(config, actions=200), make_parts(), tmp_path, resume=True)
+
+
+def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score):
+    class Still:
+        keys = ("ee_position",)
+
+        def reset(self, rng):
+            pass
+
+        def act(self, obs):
+            return np.zeros(3, np.float32)
+
+    config = replace(
+        config, actions=400, evaluate_every=400, updates_per_action=1.0, checkpoint_every=1000
+    )
+    scores = train(config, make_parts(), tmp_path)
+    still = score(Still())
+    assert scores["reward"] > 0.6 * still["reward"]
+    assert scores["uncovered_rate"] > still["uncovered_rate"] + 0.2
+
+
+def test_progress_tells_every_action_and_the_last_scores(config, make_parts, tmp_path):
+    told = []
+    train(config, make_parts(), tmp_path, progress=lambda *call: told.append(call))
+    assert [done for _, done, _ in told] == list(range(1, 121))
+    assert told[0][0] == "method"
+    assert told[-1][0].startswith("method, reward -")

@@ -1,0 +1,84 @@
+import json
+from dataclasses import asdict, replace
+
+import pytest
+
+from mechsearch.agent.ddpg import LearnerConfig
+from mechsearch.train.config import (
+    PRESETS,
+    ImitationConfig,
+    TrainConfig,
+    load_config,
+    preset_config,
+    save_config,
+)
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_come_back_from_their_file(name, tmp_path):
+    save_config(PRESETS[name], tmp_path / "config.json")
+    assert load_config(tmp_path / "config.json") == PRESETS[name]
+    assert PRESETS[name].name == name
+
+
+def test_ddpg_differs_in_guidance_and_critic_alone():
+    ddpg, method = PRESETS["ddpg"], PRESETS["method"]
+    assert ddpg.teachers == ()
+    assert ddpg.critic_keys == ddpg.actor_keys == method.actor_keys
+    same = replace(
+        ddpg,
+        name="method",
+        teachers=method.teachers,
+        critic_keys=method.critic_keys,
+        learner=replace(ddpg.learner, dropout=method.learner.dropout, samples=50),
+    )
+    assert same == method
+
+
+def test_only_the_no_pose_ablation_changes_what_the_actor_sees():
+    changed = {name for name, config in PRESETS.items() if config.actor_keys != ACTOR_KEYS}
+    assert changed == {"no-pose-input"}
+
+
+def test_no_actor_sees_privileged_keys():
+    for config in PRESETS.values():
+        assert not set(config.actor_keys) & set(PRIVILEGED_KEYS)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"teachers": ("push",)}, "unknown teacher 'push'; choose among straight"),
+        ({"learner": LearnerConfig(dropout=0.0)}, "teachers need a Bayesian critic"),
+        ({"actor_keys": ("target_offset",)}, "must not see 'target_offset'"),
+        ({"imitation": ImitationConfig(updates=5)}, "imitates or reinforces"),
+        ({"camera": "tilted", "learner": LearnerConfig(symmetry=True)}, "overhead"),
+        ({"threads": 0}, "threads is 0; expected at least 1"),
+        ({"actions": -1}, "actions is -1"),
+        ({"updates_per_action": -0.5}, "updates_per_action"),
+        ({"critic_keys": ()}, "at least one observation key"),
+    ],
+)
+def test_contradictions_are_refused(changes, message):
+    with pytest.raises(MechSearchError, match=message):
+        replace(TrainConfig(), **changes)
+
+
+def test_corrections_need_imitation():
+    with pytest.raises(MechSearchError, match="imitation first"):
+        ImitationConfig(updates=0, corrected_actions=5)
+
+
+def test_an_unknown_variant_is_refused_with_the_valid_ones():
+    with pytest.raises(MechSearchError, match="method, ddpg"):
+        preset_config("sac")
+
+
+def test_an_unknown_field_in_a_file_is_refused(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({**asdict(TrainConfig()), "speed": 3}))
+    with pytest.raises(MechSearchError, match="TrainConfig has no speed"):
+        load_config(path)
+    with pytest.raises(MechSearchError, match="no training configuration"):
+        load_config(tmp_path / "none.json")
