@@ -110,14 +110,14 @@ def test_the_actor_finds_the_action_of_highest_reward(dropout):
 
 
 def test_q_samples_are_in_units_of_reward_and_agree_in_the_mean():
-    agent, replay = learner(samples=10, network=FULL), bandit()
+    agent, replay = learner(samples=5, network=FULL), bandit()
     rng = np.random.default_rng(0)
-    for _ in range(250):
+    for _ in range(200):
         agent.update(replay, rng)
     obs = {key: np.zeros(3, np.float32) for key in CRITIC}
     actions = np.array([[0.5, -0.5, 0], [-0.5, 0.5, 0.5]], np.float32)
     samples = agent.q_samples(obs, actions)
-    assert samples.shape == (10, 2)
+    assert samples.shape == (5, 2)
     truth = -10 * np.sum((actions - [0.5, -0.5, 0.0]) ** 2, 1)
     np.testing.assert_allclose(samples.mean(0), truth, atol=5)
     assert samples[:, 1].std() > 0

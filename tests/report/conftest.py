@@ -1,10 +1,9 @@
-"""A hand-made heap: a green bar on a block, and episodes that push it about."""
+"""Hand-made episodes in which a lid slides off a cube."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
-import trimesh
 
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.objects.model import ObjectModel
@@ -12,35 +11,20 @@ from mechsearch.objects.model import ObjectModel
 MakeEvaluation = Callable[..., Evaluation]
 
 
-def box(name: str, size: tuple[float, float, float], colour: tuple[int, int, int]) -> ObjectModel:
-    mesh = trimesh.creation.box(size)
-    vertices = np.asarray(mesh.vertices, np.float64)
-    faces = np.asarray(mesh.faces, np.int32)
-    texels = np.tile(np.array(colour, np.uint8), (len(faces), 1, 1))
-    return ObjectModel(
-        name, "block", vertices, faces, texels, (vertices,), 0.1, np.eye(3) * 1e-4, 0.5, 0.0, name
-    )
-
-
 @pytest.fixture(scope="session")
-def models() -> dict[str, ObjectModel]:
-    boxes = [
-        box("lid", (0.12, 0.12, 0.02), (200, 60, 50)),
-        box("block", (0.06, 0.06, 0.06), (70, 80, 190)),
-        box("bar", (0.1, 0.03, 0.03), (230, 200, 60)),
-    ]
-    return {model.name: model for model in boxes}
+def models(boxes) -> Mapping[str, ObjectModel]:
+    return boxes.models
 
 
 def episode(seed: int, policy: str, gain: float, length: int = 8) -> EpisodeRecord:
-    """The lid slides off the bar along x, by the more the greater the gain."""
+    """The lid slides off the cube along x, by the more the greater the gain."""
     rng = np.random.default_rng(seed)
     slide = np.linspace(0, gain, length + 1)
     poses = np.zeros((length + 1, 3, 7))
     poses[..., 3] = 1
-    poses[:, 0, :3] = np.stack([0.03 + 0.15 * slide, 0 * slide, 0 * slide + 0.045], axis=1)
-    poses[:, 1, :3] = (-0.12, 0.1, 0.03)
-    poses[:, 2, :3] = (0, 0, 0.015)
+    poses[:, 0, :3] = np.stack([0.03 + 0.15 * slide, 0 * slide, 0 * slide + 0.07], axis=1)
+    poses[:, 1, :3] = (-0.12, 0.1, 0.015)
+    poses[:, 2, :3] = (0, 0, 0.03)
     ee = np.stack([-0.25 + 0.3 * slide, 0.05 * np.sin(6 * slide), 0 * slide + 0.04], axis=1)
     occlusions = np.clip(0.8 - slide, 0, 1)
     uncovered = bool(occlusions[-1] <= 0.02)
@@ -49,7 +33,7 @@ def episode(seed: int, policy: str, gain: float, length: int = 8) -> EpisodeReco
         count=(5, 10, 15)[seed % 3],
         condition="single",
         policy=policy,
-        objects=("lid", "block", "bar"),
+        objects=("lid", "small0", "cube"),
         target=2,
         actions=rng.uniform(-1, 1, (length, 3)).astype(np.float32),
         ee_positions=ee,
@@ -73,7 +57,26 @@ def make_evaluation() -> MakeEvaluation:
         episodes = [
             episode(seed, name, max(0.0, gain + rng.normal(0, 0.1))) for seed in range(heaps)
         ]
-        values = {"heap_set": "abc", "object_set": "household", "seed": 0, "training_actions": 0}
+        values = {
+            "name": name,
+            "condition": "single",
+            "heap_set": "abc",
+            "object_set": "boxes",
+            "split": "held-out",
+            "seed": 0,
+            "trained": False,
+            "training_seed": None,
+            "training_actions": 0,
+        }
         return Evaluation(values | header, tuple(episodes))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def evaluations(make_evaluation) -> dict[str, Evaluation]:
+    trained = {"trained": True, "training_seed": 0, "training_actions": 3000}
+    gains = {"teacher-straight": 0.75, "teacher-spiral": 0.9, "random": 0.3, "idle": 0.0}
+    return {"method": make_evaluation("method", 0.7, **trained)} | {
+        name: make_evaluation(name, gain) for name, gain in gains.items()
+    }

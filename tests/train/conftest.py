@@ -107,17 +107,17 @@ def distance_left(policy, episodes=8):
     return {"reward": float(np.mean(returns)), "uncovered_rate": float(np.mean(reached))}
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def reach_env():
     return ReachEnv
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def pointer():
     return Pointer
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_parts():
     def make(env=None, teachers=True):
         guides = {"straight": Pointer(), "zigzag": Pointer(-1.0)} if teachers else {}
@@ -126,7 +126,7 @@ def make_parts():
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def config():
     learner = LearnerConfig(batch=16, samples=5, network=SMALL, actor_rate=1e-3)
     return replace(
@@ -141,6 +141,6 @@ def config():
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def score():
     return distance_left

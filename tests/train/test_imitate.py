@@ -79,7 +79,9 @@ def test_a_resumed_imitation_is_the_one_that_was_never_stopped(
             raise Killed
         return expert(env)
 
-    plus = replace(plus, imitation=replace(plus.imitation, updates=40, corrected_actions=200, longest_lead=3))
+    plus = replace(
+        plus, imitation=replace(plus.imitation, updates=40, corrected_actions=200, longest_lead=3)
+    )
     plus = replace(plus, evaluate_every=25)
     imitate(plus, demonstrations, tmp_path / "whole", make_parts(), expert)
     with pytest.raises(Killed):

@@ -16,9 +16,17 @@ def lines(directory, kind=None):
     return [r for r in read_lines(directory / "metrics.jsonl") if kind in (None, r["kind"])]
 
 
-def test_a_run_writes_all_its_files(config, make_parts, tmp_path):
-    scores = train(config, make_parts(), tmp_path / "run")
-    run = tmp_path / "run"
+@pytest.fixture(scope="module")
+def whole(config, make_parts, tmp_path_factory):
+    """A finished run: its directory, last scores, and what it told of its progress."""
+    directory, told = tmp_path_factory.mktemp("runs") / "whole", []
+    parts = make_parts()
+    scores = train(config, parts, directory, progress=lambda *call: told.append(call))
+    return directory, scores, told
+
+
+def test_a_run_writes_all_its_files(whole):
+    run, scores, _ = whole
     assert {p.name for p in run.iterdir()} == {
         "config.json", "metrics.jsonl", "speed.jsonl", "tensorboard",
         "checkpoints", "actors", "actor.safetensors",
@@ -30,37 +38,34 @@ def test_a_run_writes_all_its_files(config, make_parts, tmp_path):
     assert not list(run.rglob("*.partial*"))
 
 
-def test_an_episode_line_tells_terms_choices_beliefs_and_updates(config, make_parts, tmp_path):
-    train(config, make_parts(), tmp_path / "run")
-    last = lines(tmp_path / "run", "episode")[-1]
+def test_an_episode_line_tells_terms_choices_beliefs_and_updates(whole):
+    last = lines(whole[0], "episode")[-1]
     assert last["term_near"] + last["term_idle"] == pytest.approx(last["return"])
     shares = [last[f"chosen_{name}"] for name in ("actor", "straight", "zigzag")]
     assert sum(shares) == pytest.approx(1)
     assert {"q", "return_followed", "saturated", "update_critic_loss", "update_q"} <= set(last)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(config, make_parts, tmp_path):
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(replace(config, seed=seed), make_parts(), tmp_path / name)
-    a, b, c = ((tmp_path / n / "metrics.jsonl").read_bytes() for n in "abc")
-    assert a == b
-    assert a != c
-    actors = [(tmp_path / n / "actor.safetensors").read_bytes() for n in "ab"]
-    assert actors[0] == actors[1]
+def test_the_same_seed_gives_the_same_bytes(whole, config, make_parts, tmp_path):
+    train(config, make_parts(), tmp_path)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
-def test_a_resumed_run_is_the_run_that_was_never_stopped(config, make_parts, tmp_path):
-    train(config, make_parts(), tmp_path / "whole")
-    train(replace(config, actions=77), make_parts(), tmp_path / "halves")
-    train(config, make_parts(), tmp_path / "halves", resume=True)
+def test_another_seed_gives_another_run(whole, config, make_parts, tmp_path):
+    train(replace(config, seed=1, actions=30), make_parts(), tmp_path)
+    first, other = (next(read_lines(run / "metrics.jsonl")) for run in (whole[0], tmp_path))
+    assert first != other
+
+
+def test_a_resumed_run_is_the_run_that_was_never_stopped(whole, config, make_parts, tmp_path):
+    train(replace(config, actions=77), make_parts(), tmp_path)
+    train(config, make_parts(), tmp_path, resume=True)
     # The shorter run evaluated once more, at its end; that line is not of the longer run.
-    whole = (tmp_path / "whole" / "metrics.jsonl").read_bytes()
-    assert (tmp_path / "halves" / "metrics.jsonl").read_bytes() == whole
-    for name in ("actor.safetensors", "checkpoints/" + last_checkpoint(tmp_path / "whole")):
-        assert (tmp_path / "halves" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    last = "checkpoints/" + last_checkpoint(whole[0])
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors", last)
 
 
-def test_a_killed_run_resumes_exactly(config, make_parts, reach_env, tmp_path):
+def test_a_killed_run_resumes_exactly(whole, config, make_parts, reach_env, tmp_path):
     class Killed(Exception):  # noqa: N818
         pass
 
@@ -70,12 +75,15 @@ def test_a_killed_run_resumes_exactly(config, make_parts, reach_env, tmp_path):
                 raise Killed
             return super().step(action)
 
-    train(config, make_parts(), tmp_path / "whole")
     with pytest.raises(Killed):
-        train(config, make_parts(DyingEnv()), tmp_path / "killed")
-    train(config, make_parts(), tmp_path / "killed", resume=True)
-    for name in ("metrics.jsonl", "actor.safetensors"):
-        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        train(config, make_parts(DyingEnv()), tmp_path)
+    train(config, make_parts(), tmp_path, resume=True)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
+
+
+def assert_same_files(run, other, *names):
+    for name in names:
+        assert (run / name).read_bytes() == (other / name).read_bytes(), name
 
 
 def last_checkpoint(run):
@@ -83,7 +91,7 @@ def last_checkpoint(run):
 
 
 def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp_path):
-    config = replace(config, checkpoint_every=1)
+    config = replace(config, actions=60, checkpoint_every=1)
     train(config, make_parts(reach_env(fail_at=30)), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     archive = load_archive(path, "mechsearch checkpoint")
@@ -95,7 +103,7 @@ def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp
 
 
 def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):
-    config = replace(config, updates_per_action=1.5, checkpoint_every=1)
+    config = replace(config, actions=60, updates_per_action=1.5, checkpoint_every=1)
     train(config, make_parts(), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     counts = load_archive(path, "mechsearch checkpoint").meta["counts"]
@@ -118,17 +126,13 @@ def test_ablations_are_settings_of_the_same_loop(changes, config, make_parts, tm
     assert len(lines(tmp_path / "run", "validation")) == 1
 
 
-def test_evaluation_is_without_noise_and_teachers(config, make_parts, tmp_path, score):
-    train(config, make_parts(), tmp_path / "run")
-    again = score(load_actor(tmp_path / "run"))
-    assert lines(tmp_path / "run", "validation")[-1]["reward"] == again["reward"]
+def test_evaluation_is_without_noise_and_teachers(whole, score):
+    run, scores, _ = whole
+    assert score(load_actor(run)) == scores
 
 
-def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(
-    config, make_parts, tmp_path
-):
-    train(config, make_parts(), tmp_path / "run")
-    records = lines(tmp_path / "run", "episode")
+def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(whole):
+    records = lines(whole[0], "episode")
     assert np.mean([r["chosen_straight"] + r["chosen_zigzag"] for r in records]) > 0.3
 
 
@@ -151,7 +155,7 @@ def test_an_environment_without_privileged_keys_is_refused(config, make_parts, r
 
 
 def test_a_damaged_checkpoint_is_named(config, make_parts, tmp_path):
-    train(config, make_parts(), tmp_path)
+    train(replace(config, actions=60), make_parts(), tmp_path)
     path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
@@ -171,7 +175,7 @@ def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score)
             return np.zeros(3, np.float32)
 
     config = replace(
-        config, actions=400, evaluate_every=400, updates_per_action=1.0, checkpoint_every=1000
+        config, actions=300, evaluate_every=300, updates_per_action=1.0, checkpoint_every=1000
     )
     scores = train(config, make_parts(), tmp_path)
     still = score(Still())
@@ -179,9 +183,8 @@ def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score)
     assert scores["uncovered_rate"] > still["uncovered_rate"] + 0.2
 
 
-def test_progress_tells_every_action_and_the_last_scores(config, make_parts, tmp_path):
-    told = []
-    train(config, make_parts(), tmp_path, progress=lambda *call: told.append(call))
+def test_progress_tells_every_action_and_the_last_scores(whole):
+    told = whole[2]
     assert [done for _, done, _ in told] == list(range(1, 121))
     assert told[0][0] == "method"
     assert told[-1][0].startswith("method, reward -")

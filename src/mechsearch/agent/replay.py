@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -173,9 +174,19 @@ def require_memory(size: int, purpose: str) -> None:
     Raises:
         MechSearchError: If the machine has less free memory.
     """
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = _available_memory()
     if size > free:
         raise MechSearchError(
             f"{purpose} needs {size / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are free; "
             "expected fewer rows or smaller images"
         )
+
+
+def _available_memory() -> int:
+    """Return what can be had without swapping [bytes]; caches that can be dropped count."""
+    table = Path("/proc/meminfo")
+    if table.exists():
+        for line in table.read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

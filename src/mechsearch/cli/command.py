@@ -1,7 +1,7 @@
 """What every command is: options that parse themselves, and a run."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
@@ -30,8 +30,15 @@ class Command:
 
 @contextmanager
 def bars() -> Iterator[Progress]:
-    """Show progress on the error stream, so that results can be piped."""
-    with progress_bars(Console(stderr=True)) as progress:
+    """Show progress on the error stream, once there is any, so that results can be piped."""
+    with ExitStack() as stack:
+        opened: list[Progress] = []
+
+        def progress(label: str, done: int, total: int) -> None:
+            if not opened:
+                opened.append(stack.enter_context(progress_bars(Console(stderr=True))))
+            opened[0](label, done, total)
+
         yield progress
 
 

@@ -13,6 +13,7 @@ from mechsearch.cli.heaps import WORKERS
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS, score
+from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.report import tables
@@ -63,6 +64,8 @@ class Evaluate(Command):
             raise MechSearchError(
                 f"{len(self.policies)} policies given; expected one with --name, or at least one"
             )
+        for policy in self.policies:
+            make_policy(policy)
         evaluations = []
         for policy in self.policies:
             plan = EvaluationPlan(

@@ -73,7 +73,7 @@ def learning_curves(
     }
     drawn = {
         "Evaluations during training, without noise or teachers. Grey: policies that do not learn, "
-        "on the held-out heaps.": curves.draw_evaluations(runs, references)
+        "on the heaps of the scores above.": curves.draw_evaluations(runs, references)
     }
     drawn |= {
         f"Training of {run.name}, seed {run.seed}.": curves.draw_training(run) for run in runs

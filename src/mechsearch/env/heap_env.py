@@ -212,7 +212,8 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self._update_poses()
         moved = np.linalg.norm(self._poses[:, :3] - poses[:, :3], axis=1) * present
         clutter = np.delete(moved, self.heap.target)
-        self._occlusion = self._measure_occlusion()
+        if not np.array_equal(self._poses, poses):
+            self._occlusion = self._measure_occlusion()
         reward = terms(
             before, self._occlusion, clutter, float(moved[self.heap.target]),
             bool(np.abs(command - target).max() > 1e-9), self.config.reward,

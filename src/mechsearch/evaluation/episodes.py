@@ -1,6 +1,8 @@
 """Recorded episodes: what happened, action by action, and the file that keeps them."""
 
 import json
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -152,6 +154,7 @@ def load(path: Path) -> Evaluation:
         MechSearchError: If the file is missing, damaged, or not an evaluation.
     """
     try:
+        _check_sums(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         text = json.loads(str(arrays["text"]))
@@ -164,10 +167,23 @@ def load(path: Path) -> Evaluation:
         raise MechSearchError(f"no evaluation at {path}") from None
     except IsADirectoryError:
         raise MechSearchError(f"{path} is a folder; expected an evaluation (.npz)") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+    except _DAMAGE as error:
         raise MechSearchError(f"{path} is damaged or not an evaluation: {error}") from None
-    except (zipfile.BadZipFile, zlib.error) as error:
-        raise MechSearchError(f"{path} is damaged: {error}") from None
+
+
+_DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, RuntimeError),
+    *(ValueError, KeyError, TypeError, IndexError, SyntaxError, tokenize.TokenError),
+)
+"""What a flipped bit may raise in the reader of archives and arrays."""
+
+
+def _check_sums(path: Path) -> None:
+    """Compare the content with its checksums, before anything reads it."""
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged:
+        raise zipfile.BadZipFile(f"{damaged} does not match its checksum")
 
 
 def _description(episode: EpisodeRecord) -> dict[str, Any]:

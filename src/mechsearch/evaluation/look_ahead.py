@@ -48,7 +48,7 @@ class LookAheadConfig:
     """
 
     directions: int = 8
-    margin: float = 4.0
+    margin: float = 2.5
 
 
 class LookAhead:

@@ -74,7 +74,7 @@ def make_policy(spec: str) -> Policy:
     teachers = make_teachers()
     if spec.removeprefix("teacher-") in teachers and spec.startswith("teacher-"):
         return teachers[spec.removeprefix("teacher-")]
-    if Path(spec).is_dir() or spec.endswith(".safetensors"):
+    if _is_file_of_run(spec):
         return _trained(Path(spec))
     module, colon, name = spec.partition(":")
     if colon and all(part.isidentifier() for part in (*module.split("."), name)):
@@ -91,14 +91,18 @@ def run_config(spec: str) -> Mapping[str, Any]:
     Raises:
         MechSearchError: If the configuration is damaged.
     """
-    path = Path(spec)
-    if not (path.is_dir() or spec.endswith(".safetensors")):
+    if not _is_file_of_run(spec):
         return {}
+    path = Path(spec)
     for folder in (path, path.parent, path.parent.parent):
         if (folder / RUN_CONFIG).is_file():
             config: dict[str, Any] = read_json(folder / RUN_CONFIG, "training configuration")
             return config
     return {}
+
+
+def _is_file_of_run(spec: str) -> bool:
+    return spec.endswith(".safetensors") or (bool(spec) and Path(spec).is_dir())
 
 
 def _trained(path: Path) -> Policy:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from platformdirs import user_cache_dir
@@ -84,5 +85,7 @@ def prepare_into(source: Source, path: Path) -> str:
         MechSearchError: If the object cannot be prepared.
     """
     done = prepare.prepare(source)
-    model_to_npz(path, done.model, remark=done.excluded)
+    # The sources identify the object: prepared arrays may differ in their last bits elsewhere.
+    model = replace(done.model, content_hash=cache_key(source))
+    model_to_npz(path, model, remark=done.excluded)
     return done.remark

@@ -28,7 +28,8 @@ class ObjectModel:
         inertia: About the origin (3, 3) [kg m^2].
         friction: Sliding coefficient.
         hull_error: Largest distance between mesh and convex parts [m].
-        content_hash: SHA-256 of all that physics and rendering read.
+        content_hash: SHA-256 of what the object is made from: its arrays, or the files and settings
+            of its preparation.
     """
 
     name: str

@@ -119,20 +119,20 @@ def pictured(evaluation: Evaluation) -> dict[str, tuple[str, int]]:
 def _lead(evaluations: Mapping[str, Evaluation], subjects: Sequence[str]) -> str:
     first = next(iter(evaluations.values()))
     counts = sorted({record.count for record in first.episodes})
-    split = str(first.header.get("split", "")).replace("-", " ")
-    heaps = f"{len(first.episodes)} {split} heaps".replace("  ", " ")
-    objects = first.header.get("object_set", "")
+    held_out = first.header.get("split") == "held-out"
     sizes = f"{', '.join(map(str, counts[:-1]))} or {counts[-1]}" if counts[1:] else f"{counts[0]}"
     lead = (
-        f"{len(evaluations)} policies had to uncover a target in the same {heaps} of "
-        f"{sizes} {objects} objects, each from the same start."
+        f"{len(evaluations)} policies had to uncover a target in the same {len(first.episodes)} "
+        f"{'held-out ' if held_out else ''}heaps of {sizes} {first.header.get('object_set', '')} "
+        "objects, each from the same start."
     )
     learnt = [
         f"{name} learnt from {evaluations[name].header['training_actions']:,} actions"
         for name in subjects
         if evaluations[name].header.get("training_actions", 0)
     ]
-    return lead + (f" {'; '.join(learnt)}, none of them on these heaps." if learnt else "")
+    apart = ", none of them on these heaps" if held_out else ""
+    return lead + (f" {'; '.join(learnt)}{apart}." if learnt else "")
 
 
 def _verdicts(evaluations: Mapping[str, Evaluation], subjects: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.metrics import METRICS, Estimate, score, score_by_count
 
 Scores = Mapping[str, Estimate]
+MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def number(metric: str, value: float, signed: bool = False) -> str:
     text = f"{value * shown.scale + 0.0:{'+' if signed else ''}.{shown.digits}f}"
     if float(text) == 0:
         text = text.lstrip("+-")
-    return text.replace("-", "−")  # noqa: RUF001
+    return text.replace("-", MINUS)
 
 
 def interval(metric: str, estimate: Estimate, signed: bool = False) -> str:
@@ -125,7 +126,7 @@ def scores_of(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, Esti
 
 
 def to_text(table: Table) -> str:
-    """Return a table in plain columns, intervals behind their means."""
+    """Return a table in plain columns, intervals behind their means, signs in ASCII."""
     flat = [[_one_line(text) for text in row] for row in (table.columns, *table.rows)]
     widths = [max(len(row[i]) for row in flat) for i in range(len(table.columns))]
     lines = [
@@ -133,7 +134,8 @@ def to_text(table: Table) -> str:
         for row in flat
     ]
     rule = "  ".join("-" * width for width in widths)
-    return "\n".join([table.caption, "", lines[0], rule, *lines[1:]]) + "\n"
+    text = "\n".join([table.caption, "", lines[0], rule, *lines[1:]]) + "\n"
+    return text.replace(MINUS, "-")
 
 
 def to_markdown(table: Table) -> str:

@@ -13,7 +13,7 @@ from mechsearch.evaluation.metrics import (
     measure,
     paired_difference,
 )
-from mechsearch.report.tables import Table, cell, number
+from mechsearch.report.tables import MINUS, Table, cell, number
 from mechsearch.types import Floats, MechSearchError
 
 PASSIVE = ("random", "idle")
@@ -87,6 +87,7 @@ def standing(ours: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     it closes, its share of the best teacher's change in visibility, and the clutter it moves.
     Nothing is returned without a passive policy and a teacher to compare with.
     """
+    _require_same_heaps(evaluations)
     means = {name: {m: _values(e, m).mean() for m in METRICS} for name, e in evaluations.items()}
     passive = [name for name in PASSIVE if name in means]
     teachers = [name for name in means if name.startswith(TEACHER_PREFIX)]
@@ -197,7 +198,7 @@ def _ratio(
 def _percentage(share: float, low: float, high: float) -> str:
     if np.isnan(share):
         return "a share that is not defined (there is no gap)"
-    return f"{share:.0%} (95 % interval {low:.0%} to {high:.0%})".replace("-", "−")  # noqa: RUF001
+    return f"{share:.0%} (95 % interval {low:.0%} to {high:.0%})".replace("-", MINUS)
 
 
 def _listed(names: Sequence[str]) -> str:

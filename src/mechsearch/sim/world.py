@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.workspace import Workspace
@@ -27,6 +28,10 @@ class PhysicsConfig:
         solver_iterations: At most, for each step.
         deep_penetration: Overlap of two bodies that ends an episode [m].
         explosion_speed: Speed of an object that ends an episode [m/s].
+        clearance: Distance from the pusher's way to every object's bounding box [m] from which an
+            action need not be simulated, if the heap lies still.
+        still_speed: Speed below which an object lies still [m/s].
+        still_spin: Angular speed below which an object lies still [rad/s].
     """
 
     time_step: float = 0.005
@@ -35,6 +40,9 @@ class PhysicsConfig:
     solver_iterations: int = 30
     deep_penetration: float = 0.015
     explosion_speed: float = 8.0
+    clearance: float = 0.005
+    still_speed: float = 0.003
+    still_spin: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -75,7 +83,8 @@ class World:
         self.config = config or PhysicsConfig()
         self.workspace = workspace or Workspace()
         self.count = len(models)
-        self._has_pusher = pusher is not None
+        self._pusher = pusher
+        self._points = [np.concatenate(model.parts) for model in models]
         self._model = _compile(models, self.workspace, pusher, walls, self.config)
         self._data = mujoco.MjData(self._model)
         self._size = mujoco.mj_stateSize(self._model, _STATE)
@@ -102,7 +111,7 @@ class World:
         """Put all objects at rest at `poses` (N, 7), and the pusher where it is told."""
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[: 7 * self.count] = np.asarray(poses, np.float64).ravel()
-        if self._has_pusher:
+        if self._pusher is not None:
             self.place_pusher(_AWAY if pusher_position is None else pusher_position)
 
     def place(self, index: int, pose: Array) -> None:
@@ -132,14 +141,45 @@ class World:
         mujoco.mj_step(self._model, self._data, steps)
 
     def push(self, target: Array) -> None:
-        """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time."""
-        travel = self.config.action_steps * self.config.time_step
+        """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time.
+
+        Where the heap lies still and the way is clear of every object's bounding box, the pusher
+        travels exactly and the objects stay exactly: there is nothing to simulate.
+        """
+        config, goal = self.config, np.asarray(target, np.float64)
+        if self._passes_freely(goal):
+            self.place_pusher(goal)
+            self._data.time += (config.action_steps + config.rest_steps) * config.time_step
+            return
         position = self.pusher_position
         self._data.act[:] = position
-        self._data.ctrl[:] = (np.asarray(target, np.float64) - position) / travel
-        mujoco.mj_step(self._model, self._data, self.config.action_steps)
+        self._data.ctrl[:] = (goal - position) / (config.action_steps * config.time_step)
+        mujoco.mj_step(self._model, self._data, config.action_steps)
         self._data.ctrl[:] = 0.0
-        mujoco.mj_step(self._model, self._data, self.config.rest_steps)
+        mujoco.mj_step(self._model, self._data, config.rest_steps)
+
+    def _passes_freely(self, target: Floats) -> bool:
+        assert self._pusher is not None
+        speeds = np.abs(self.velocities).max(axis=0, initial=0.0)
+        if not (
+            speeds[:3].max() < self.config.still_speed and speeds[3:].max() < self.config.still_spin
+        ):
+            return False
+        ends = np.stack([self.pusher_position, target])
+        reach = self._pusher.radius + self.config.clearance
+        low = ends.min(axis=0) - np.array([reach, reach, self.config.clearance])
+        top = self._pusher.length + self.config.clearance
+        high = ends.max(axis=0) + np.array([reach, reach, top])
+        if low[2] < 0.0:
+            return False
+        poses = self.poses
+        for rotation, pose, points in zip(
+            rotation_from_quaternion(poses[:, 3:]), poses, self._points, strict=True
+        ):
+            corners = points @ rotation.T + pose[:3]
+            if (corners.max(axis=0) > low).all() and (corners.min(axis=0) < high).all():
+                return False
+        return True
 
     def penetrations(self) -> Floats:
         """Return the overlap (C,) of every contact [m], in the last computed step."""

@@ -1,0 +1,147 @@
+"""The look-ahead expert as a teacher of `plus`, and the store of what it shows."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig
+from mechsearch.heaps.dataset import check_objects, load, object_set
+from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
+from mechsearch.types import Observation
+
+
+class LookAheadExpert:
+    """Plans from wherever an environment is, and acts to the episode's end."""
+
+    def __init__(self, env: HeapEnv, config: LookAheadConfig | None = None) -> None:
+        """Prepare to plan for an environment.
+
+        Args:
+            env: Whose heaps and task are planned for.
+            config: How far to look.
+        """
+        self._look_ahead = LookAhead(env.heaps, env.objects, env.config, config)
+
+    def __call__(self, env: HeapEnv) -> Demonstration | None:
+        """Execute the best push found; return what was seen and done, or None without success."""
+        snapshot = env.snapshot()
+        plan = self._look_ahead.plan(snapshot, env.heap.seed)
+        obs: Observation = env.restore(snapshot)
+        pairs, total = [], 0.0
+        for action in plan.actions if plan.end == "uncovered" else ():
+            pairs.append((obs, action))
+            obs, reward, _, _, _ = env.step(action)
+            total += reward
+        if not pairs:
+            return None
+        return Demonstration.of(
+            pairs, env.config.keys, plan.simulated_actions, len(plan.actions), total
+        )
+
+
+@dataclass(frozen=True)
+class DemonstrateConfig:
+    """Which demonstrations to record.
+
+    Attributes:
+        heaps: Heap set file; its training half is demonstrated.
+        objects: Object set that the heaps were made with.
+        first: Index of the first training heap.
+        count: Number of training heaps; 0 is all.
+        starts: Starting positions tried on each heap.
+        seed: Of the starting positions.
+        look_ahead: How far to look.
+    """
+
+    heaps: Path
+    objects: str = "household"
+    first: int = 0
+    count: int = 0
+    starts: int = 1
+    seed: int = 0
+    look_ahead: LookAheadConfig = LookAheadConfig()
+
+
+def demonstrate(
+    config: DemonstrateConfig, path: Path, workers: int = 1, progress: Progress = silent
+) -> DemonstrationStore:
+    """Record demonstrations into a folder; heaps that are there already are not tried again.
+
+    Raises:
+        MechSearchError: If heaps and objects do not fit, or the folder is of another heap set.
+    """
+    heap_set = load(config.heaps)
+    check_objects(heap_set, object_set(config.objects))
+    store = DemonstrationStore(path)
+    store.open(
+        {
+            "heap_set": heap_set.hash,
+            "look_ahead": asdict(config.look_ahead),
+            "starts": config.starts,
+            "seed": config.seed,
+        }
+    )
+    last = config.first + config.count if config.count else len(heap_set.train)
+    names = [
+        f"{start}-{heap:06d}"
+        for start in range(config.starts)
+        for heap in spread_over_counts(
+            [h.count for h in heap_set.train], config.first, min(last, len(heap_set.train))
+        )
+    ]
+    done = set(store.names()) | set(failed(path))
+    todo = [name for name in names if name not in done]
+    progress("demonstrated heaps", len(names) - len(todo), len(names))
+    work = _Demonstrate(config)
+    for i, (name, demonstration) in enumerate(
+        zip(todo, map_in_order(work, todo, workers), strict=True)
+    ):
+        if demonstration is None:
+            (path / f"{name}.failed").touch()
+        else:
+            store.write(name, demonstration)
+        progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
+    return store
+
+
+def failed(path: Path) -> list[str]:
+    """Return the names of heaps for which no push succeeded."""
+    return [file.stem for file in path.glob("*.failed")]
+
+
+def spread_over_counts(counts: Sequence[int], first: int, last: int) -> list[int]:
+    """Return heap indices first ... last of an order in which object counts alternate."""
+    rank: dict[int, int] = {}
+    order = []
+    for index, count in enumerate(counts):
+        rank[count] = rank.get(count, -1) + 1
+        order.append((rank[count], count, index))
+    return [index for _, _, index in sorted(order)][first:last]
+
+
+@dataclass(frozen=True)
+class _Demonstrate:
+    """Demonstrates one heap, by the name of its file; for worker processes."""
+
+    config: DemonstrateConfig
+
+    def __call__(self, name: str) -> Demonstration | None:
+        start, heap = (int(part) for part in name.split("-"))
+        env, expert = _workshop(self.config)
+        seed = int(np.random.default_rng([self.config.seed, start, heap]).integers(2**31))
+        env.reset(seed=seed, options={"heap": heap})
+        return expert(env)
+
+
+@cache
+def _workshop(config: DemonstrateConfig) -> tuple[HeapEnv, LookAheadExpert]:
+    heap_set = load(config.heaps)
+    env = HeapEnv(
+        heap_set.train, object_set(config.objects), HeapEnvConfig(camera=heap_set.camera)
+    )
+    return env, LookAheadExpert(env, config.look_ahead)

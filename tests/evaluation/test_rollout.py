@@ -1,0 +1,208 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import EpisodeRecord
+from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
+from mechsearch.heaps import dataset
+from mechsearch.heaps.heap import Heap
+from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.types import MechSearchError
+
+NAMES = ("sponge", "golf_ball", "apple")
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+
+
+def make_heap(seed: int, count: int = 5, held_out: bool = True) -> Heap:
+    rng = np.random.default_rng(seed)
+    models = load_object_set("household").models
+    poses = []
+    for i, name in enumerate(NAMES):
+        height = -float(models[name].vertices[:, 2].min())
+        poses.append([0.15 * i - 0.15, rng.uniform(-0.1, 0.1), height + 0.001, *UPRIGHT])
+    return Heap(NAMES, np.array(poses), 1, 0.5, seed, count, "single", held_out)
+
+
+@pytest.fixture(scope="module")
+def heap_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("heaps") / "three.parquet"
+    heaps = [make_heap(11), make_heap(12, 10), make_heap(13, 15), make_heap(14, held_out=False)]
+    config = {"condition": "single", "objects": "household", "camera": "overhead", "seed": 0}
+    hashes = set_hashes(load_object_set("household"))
+    manifest = {"format": 1, "config": config, "engine": "4", "object_hashes": hashes}
+    dataset.save(path, heaps, manifest | {"acceptance_rate": 1.0})
+    return path
+
+
+@pytest.fixture(scope="module")
+def env() -> HeapEnv:
+    heaps = [make_heap(11), make_heap(12), make_heap(13)]
+    config = HeapEnvConfig(keys=("ee_position",), max_actions=6, uncovered_at=-1.0)
+    return HeapEnv(heaps, load_object_set("household"), config)
+
+
+def same(left: EpisodeRecord, right: EpisodeRecord) -> bool:
+    names = ("actions", "ee_positions", "occlusions", "poses", "clutter_moved", "target_moved")
+    return left.heap_seed == right.heap_seed and all(
+        np.array_equal(getattr(left, name), getattr(right, name)) for name in names
+    )
+
+
+def test_all_policies_start_alike(env: HeapEnv) -> None:
+    idle, moving = run(IdlePolicy(), env, [0, 1]), run(RandomPolicy(), env, [0, 1], seed=9)
+    for left, right in zip(idle, moving, strict=True):
+        np.testing.assert_array_equal(left.ee_positions[0], right.ee_positions[0])
+        np.testing.assert_array_equal(left.poses[0], right.poses[0])
+        assert left.occlusions[0] == right.occlusions[0]
+    assert not np.array_equal(idle[0].ee_positions[0], idle[1].ee_positions[0])
+
+
+def test_an_episode_does_not_depend_on_those_before_it(env: HeapEnv) -> None:
+    forward = run(RandomPolicy(), env, [0, 1, 2], seed=3)
+    backward = run(RandomPolicy(), env, [2, 1, 0, 2], seed=3)
+    assert [record.heap_seed for record in forward] == [11, 12, 13]
+    for left, right in zip(forward, reversed(backward[:3]), strict=True):
+        assert same(left, right)
+    assert same(backward[0], backward[3])
+
+
+def test_the_seed_decides_the_policys_randomness(env: HeapEnv) -> None:
+    first, second = (run(RandomPolicy(), env, [0], seed=seed)[0] for seed in (0, 1))
+    assert not np.array_equal(first.actions, second.actions)
+
+
+def test_a_policy_is_handed_its_own_keys_alone() -> None:
+    seen: list[set[str]] = []
+
+    class Nosy(IdlePolicy):
+        keys = ("target_offset",)
+
+        def act(self, obs):
+            seen.append(set(obs))
+            return super().act(obs)
+
+    task = HeapEnvConfig(keys=("ee_position",), privileged=True, max_actions=2)
+    env = HeapEnv([make_heap(11)], load_object_set("household"), task)
+    run(Nosy(), env, [0])
+    assert seen
+    assert all(keys == {"target_offset"} for keys in seen)
+
+
+def test_what_was_done_and_what_came_of_it_is_recorded(env: HeapEnv) -> None:
+    record = run(RandomPolicy(), env, [0], name="random")[0]
+    steps = len(record.actions)
+    assert record.ee_positions.shape == (steps + 1, 3)
+    moves = np.linalg.norm(np.diff(record.ee_positions, axis=0), axis=1)
+    assert moves.max() < 0.06
+    env.reset(options={"heap": 0, "fixed_start": True})
+    rewards = [env.step(action)[1] for action in record.actions]
+    np.testing.assert_allclose(record.rewards, rewards)
+    assert (record.policy, record.action_limit, record.target) == ("random", 6, 1)
+
+
+def test_a_policy_that_gives_nonsense_is_stopped(env: HeapEnv) -> None:
+    class Broken(IdlePolicy):
+        def act(self, obs):
+            return np.full(3, np.nan, np.float32)
+
+    with pytest.raises(MechSearchError, match="finite"):
+        run(Broken(), env, [0])
+
+
+def test_after_a_failed_simulation_the_last_trusted_state_is_recorded(
+    env: HeapEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def failure(world) -> str | None:
+        calls.append(world)
+        return "NaN" if len(calls) == 3 else None
+
+    monkeypatch.setattr("mechsearch.sim.world.World.failure", failure)
+    record = run(IdlePolicy(), env, [0])[0]
+    assert record.end == "failure: NaN"
+    assert len(record.actions) == 3
+    np.testing.assert_array_equal(record.poses[3], record.poses[2])
+    np.testing.assert_array_equal(record.ee_positions[3], record.ee_positions[2])
+    assert record.rewards[2] == 0
+
+
+def test_held_out_heaps_are_evaluated_and_the_file_says_how(
+    heap_file: Path, tmp_path: Path
+) -> None:
+    env = HeapEnvConfig(max_actions=3, uncovered_at=-1.0)
+    done: list[int] = []
+    evaluation = evaluate(
+        EvaluationPlan("idle", heap_file, env=env), progress=lambda _, i, n: done.append(i)
+    )
+    assert [record.heap_seed for record in evaluation.episodes] == [11, 12, 13]
+    assert done == [1, 2, 3]
+    header = evaluation.header
+    assert (header["name"], header["condition"], header["trained"]) == ("idle", "single", False)
+    assert header["heap_set"] == dataset.load(heap_file).hash
+    assert header["env"]["keys"] == ("ee_position",)
+    episodes.save(tmp_path / "idle.npz", evaluation)
+    loaded = episodes.load(tmp_path / "idle.npz")
+    assert all(map(same, loaded.episodes, evaluation.episodes))
+
+
+def test_splits_and_limits_choose_heaps_evenly(heap_file: Path) -> None:
+    env = HeapEnvConfig(max_actions=1, uncovered_at=-1.0)
+
+    def seeds(**options: object) -> list[int]:
+        plan = EvaluationPlan("idle", heap_file, env=env, **options)
+        return [record.heap_seed for record in evaluate(plan).episodes]
+
+    assert seeds(split="train") == [14]
+    assert seeds(split="all", limit=2) == [11, 13]
+    assert seeds(limit=3) == [11, 12, 13]
+
+
+def test_neither_the_number_of_workers_nor_a_dead_one_changes_the_result(
+    heap_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "dies_once.py").write_text(
+        "import os, pathlib\n"
+        "from mechsearch.evaluation.policies import RandomPolicy\n"
+        f"mark = pathlib.Path({str(tmp_path / 'mark')!r})\n"
+        "class Mortal(RandomPolicy):\n"
+        "    def reset(self, rng):\n"
+        "        super().reset(rng)\n"
+        f"        if os.getpid() != {os.getpid()} and not mark.exists():\n"
+        "            mark.touch()\n"
+        "            os._exit(1)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    env = HeapEnvConfig(max_actions=5, uncovered_at=-1.0)
+    plan = EvaluationPlan("dies_once:Mortal", heap_file, env=env)
+    one = evaluate(plan, workers=1)
+    assert not (tmp_path / "mark").exists()
+    two = evaluate(plan, workers=2)
+    assert (tmp_path / "mark").exists()
+    assert one.header == two.header
+    assert [record.heap_seed for record in two.episodes] == [11, 12, 13]
+    assert all(map(same, one.episodes, two.episodes))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": "test"}, "unknown split 'test'; choose one of held-out, train, all"),
+        ({"limit": -1}, "limit is -1"),
+        ({"limit": 4}, "4 heaps asked for; .* has 3 held-out heaps"),
+        ({"policy": "nobody"}, "unknown policy 'nobody'"),
+        ({"camera": "sideways"}, "unknown camera 'sideways'; choose one of overhead, tilted"),
+        ({"heaps": Path("absent.parquet")}, "no heap set at absent.parquet"),
+        ({"objects": "no-such-folder"}, "no-such-folder"),
+    ],
+)
+def test_a_plan_that_cannot_be_carried_out_is_refused(
+    heap_file: Path, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(MechSearchError, match=message):
+        evaluate(EvaluationPlan(**({"policy": "idle", "heaps": heap_file} | options)))

@@ -1,0 +1,37 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mechsearch.report.sheet import heap_sheet, object_sheet
+from mechsearch.types import MechSearchError
+
+
+def test_every_object_fills_its_tile(models) -> None:
+    sheet = np.asarray(object_sheet(models, columns=4, size=64))
+    rows, columns = 2, 4
+    assert sheet.shape[1] == columns * (64 + 10) + 10
+    height = (sheet.shape[0] - 10) // rows
+    for i in range(len(models)):
+        row, column = divmod(i, columns)
+        top, left = 10 + row * height, 10 + column * 74
+        drawn = (sheet[top : top + 64, left : left + 64] < 250).any(axis=2)
+        extent = max(np.ptp(np.flatnonzero(drawn.any(axis=axis))) for axis in (0, 1))
+        assert extent > 0.85 * 64
+        assert not drawn[0].any()
+
+
+def test_heaps_show_their_target_in_green(covered, models) -> None:
+    sheet = np.asarray(heap_sheet([covered, covered], models, size=96)).astype(int)
+    green = (sheet[..., 1] > sheet[..., 0] + 60) & (sheet[..., 1] > sheet[..., 2] + 60)
+    halves = np.array_split(green, 2, axis=1)
+    assert all(half.any() for half in halves)
+
+
+def test_empty_and_foreign_heaps_are_refused(covered, models) -> None:
+    with pytest.raises(MechSearchError, match="no object to draw"):
+        object_sheet({})
+    with pytest.raises(MechSearchError, match="no heap to draw"):
+        heap_sheet([], models)
+    with pytest.raises(MechSearchError, match="'teapot' of another set"):
+        heap_sheet([replace(covered, objects=("teapot", "lid", "small0"))], models)

@@ -1,0 +1,78 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mechsearch.agent.networks import NetworkConfig
+from mechsearch.agent.policy import load_actor
+from mechsearch.heaps.dataset import HeapSet
+from mechsearch.runs import read_lines
+from mechsearch.train.assemble import assemble
+from mechsearch.train.config import PRESETS
+from mechsearch.train.loop import train
+from mechsearch.types import MechSearchError
+
+SMALL = NetworkConfig(filters=4, hidden=(32, 32))
+
+
+@pytest.fixture(scope="module")
+def heap_set(covered):
+    heaps = [replace(covered, seed=i, held_out=i % 2 == 1) for i in range(8)]
+    return HeapSet(tuple(heaps), {}, "")
+
+
+@pytest.fixture
+def debug():
+    learner = replace(PRESETS["debug"].learner, network=SMALL)
+    return replace(
+        PRESETS["debug"],
+        actions=24,
+        warmup=8,
+        evaluate_every=24,
+        checkpoint_every=10,
+        validation_heaps=1,
+        held_out_heaps=1,
+        image_size=32,
+        learner=learner,
+    )
+
+
+def test_training_validation_and_held_out_heaps_are_apart(debug, heap_set, boxes):
+    parts = assemble(debug, heap_set, boxes)
+    validation, held_out = (parts.evaluators[n].heaps for n in ("validation", "held_out"))
+    assert not set(parts.heaps) & (set(validation) | set(held_out))
+    assert all(not heap_set.heaps[i].held_out for i in (*parts.heaps, *validation))
+    assert all(heap_set.heaps[i].held_out for i in held_out)
+    assert sorted((*parts.heaps, *validation)) == [0, 2, 4, 6]
+
+
+def test_held_out_heaps_are_not_watched_unless_asked(debug, heap_set, boxes):
+    parts = assemble(replace(debug, held_out_heaps=0), heap_set, boxes)
+    assert set(parts.evaluators) == {"validation"}
+
+
+def test_evaluation_shows_the_actor_its_own_keys_alone(debug, heap_set, boxes):
+    env = assemble(debug, heap_set, boxes).evaluators["validation"].env
+    assert set(env.observation_space.spaces) == set(debug.actor_keys)
+
+
+def test_too_few_heaps_are_refused(debug, heap_set, boxes):
+    with pytest.raises(MechSearchError, match="9 validation heaps asked for; the set has 4"):
+        assemble(replace(debug, validation_heaps=9), heap_set, boxes)
+    with pytest.raises(MechSearchError, match="leave none to learn on"):
+        assemble(replace(debug, validation_heaps=4), heap_set, boxes)
+
+
+def test_a_real_heap_trains_resumes_and_acts(debug, heap_set, boxes, tmp_path):
+    train(debug, assemble(debug, heap_set, boxes), tmp_path / "whole")
+    shorter = replace(debug, actions=20)
+    train(shorter, assemble(shorter, heap_set, boxes), tmp_path / "parts")
+    train(debug, assemble(debug, heap_set, boxes), tmp_path / "parts", resume=True)
+    whole, parts = ((tmp_path / n / "metrics.jsonl").read_bytes() for n in ("whole", "parts"))
+    assert whole == parts
+    kinds = {record["kind"] for record in read_lines(tmp_path / "whole" / "metrics.jsonl")}
+    assert kinds >= {"validation", "held_out"}
+    policy = load_actor(tmp_path / "whole")
+    env = assemble(debug, heap_set, boxes).evaluators["validation"].env
+    obs, _ = env.reset(options={"heap": 0, "fixed_start": True})
+    assert np.abs(policy.act(obs)).max() <= 1
