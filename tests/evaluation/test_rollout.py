@@ -1,4 +1,5 @@
-import os
+from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -145,10 +146,21 @@ def test_held_out_heaps_are_evaluated_and_the_file_says_how(
     header = evaluation.header
     assert (header["name"], header["condition"], header["trained"]) == ("idle", "single", False)
     assert header["heap_set"] == dataset.load(heap_file).hash
-    assert header["env"]["keys"] == ("ee_position",)
+    assert header["env"]["keys"] == ["ee_position"]
     episodes.save(tmp_path / "idle.npz", evaluation)
     loaded = episodes.load(tmp_path / "idle.npz")
+    assert loaded.header == header
     assert all(map(same, loaded.episodes, evaluation.episodes))
+
+
+def test_a_heap_set_that_was_made_anew_is_read_anew(heap_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "heaps.parquet"
+    found = dataset.load(heap_file)
+    plan = EvaluationPlan("idle", path, env=HeapEnvConfig(max_actions=1, uncovered_at=-1.0))
+    for heaps in (found.heaps[:2], found.heaps[1:3]):
+        dataset.save(path, heaps, found.manifest)
+        seeds = [record.heap_seed for record in evaluate(plan).episodes]
+        assert seeds == [heap.seed for heap in heaps]
 
 
 def test_splits_and_limits_choose_heaps_evenly(heap_file: Path) -> None:
@@ -163,30 +175,39 @@ def test_splits_and_limits_choose_heaps_evenly(heap_file: Path) -> None:
     assert seeds(limit=3) == [11, 12, 13]
 
 
-def test_neither_the_number_of_workers_nor_a_dead_one_changes_the_result(
-    heap_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "dies_once.py").write_text(
-        "import os, pathlib\n"
-        "from mechsearch.evaluation.policies import RandomPolicy\n"
-        f"mark = pathlib.Path({str(tmp_path / 'mark')!r})\n"
-        "class Mortal(RandomPolicy):\n"
-        "    def reset(self, rng):\n"
-        "        super().reset(rng)\n"
-        f"        if os.getpid() != {os.getpid()} and not mark.exists():\n"
-        "            mark.touch()\n"
-        "            os._exit(1)\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
+def test_the_result_does_not_depend_on_the_number_of_workers(heap_file: Path) -> None:
     env = HeapEnvConfig(max_actions=5, uncovered_at=-1.0)
-    plan = EvaluationPlan("dies_once:Mortal", heap_file, env=env)
-    one = evaluate(plan, workers=1)
-    assert not (tmp_path / "mark").exists()
-    two = evaluate(plan, workers=2)
-    assert (tmp_path / "mark").exists()
+    plan = EvaluationPlan("random", heap_file, env=env)
+    one, two = evaluate(plan, workers=1), evaluate(plan, workers=2)
     assert one.header == two.header
-    assert [record.heap_seed for record in two.episodes] == [11, 12, 13]
+    assert len(one.episodes) == 3
     assert all(map(same, one.episodes, two.episodes))
+
+
+def dying(results: int) -> Callable[..., Iterator[EpisodeRecord]]:
+    """Return a stand-in whose workers die after each `results` episodes."""
+
+    def map_in_order(function, inputs, workers):
+        for i, item in enumerate(inputs):
+            if i == results:
+                raise BrokenProcessPool
+            yield function(item)
+
+    return map_in_order
+
+
+def test_dead_workers_cost_time_only(heap_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mechsearch.evaluation.rollout.map_in_order", dying(1))
+    plan = EvaluationPlan("idle", heap_file, env=HeapEnvConfig(max_actions=1, uncovered_at=-1.0))
+    assert [record.heap_seed for record in evaluate(plan).episodes] == [11, 12, 13]
+
+
+def test_workers_that_keep_dying_are_an_error(
+    heap_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mechsearch.evaluation.rollout.map_in_order", dying(0))
+    with pytest.raises(MechSearchError, match="died twice after 0 of 3 episodes"):
+        evaluate(EvaluationPlan("idle", heap_file), workers=2)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Claims about object files: whole, checked, and found again by content."""
 
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mechsearch.objects import cache, prepare
+from mechsearch.objects import cache, convex, prepare
 from mechsearch.objects.archive import model_from_npz, model_to_npz
 from mechsearch.objects.cache import cache_folder, cache_key, cached, prepare_into
 from mechsearch.objects.model import ObjectModel
@@ -134,3 +135,19 @@ def test_the_key_depends_on_the_texture(tmp_path):
         (tmp_path / "a.png").write_bytes(content)
         keys.add(cache_key(Source("a", "", tmp_path / "a.obj", 1.0)))
     assert len(keys) == 2
+
+
+def test_the_sources_identify_a_prepared_object(block, tmp_path):
+    assert prepare_into(block, tmp_path / "kept.npz") == ""
+    assert cached(tmp_path / "kept.npz").model.content_hash == cache_key(block)
+
+
+def test_one_hull_kept_for_want_of_time_is_another_object(bracket, tmp_path, monkeypatch):
+    bracket.export(tmp_path / "bracket.stl")
+    source = Source("bracket", "", tmp_path / "bracket.stl", 0.2)
+    impatient = partial(convex.convex_parts, time_limit=0.01)
+    monkeypatch.setattr(prepare, "convex_parts", impatient)
+    assert prepare_into(source, tmp_path / "kept.npz") == "no decomposition in 0.01 s"
+    done = cached(tmp_path / "kept.npz")
+    assert done.model.content_hash != cache_key(source)
+    assert done.excluded.endswith("mm from its mesh (no decomposition in 0.01 s)")

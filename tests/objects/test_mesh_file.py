@@ -66,7 +66,7 @@ def test_a_corrupt_mesh_is_named(tmp_path, name, content):
 
 
 def test_a_missing_mesh_is_named(tmp_path):
-    with pytest.raises(MechSearchError, match="no mesh at .*gone"):
+    with pytest.raises(MechSearchError, match=r"no mesh at .*gone"):
         read_pieces(tmp_path / "gone.obj")
 
 

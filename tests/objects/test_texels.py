@@ -22,28 +22,30 @@ def test_the_grid_has_its_samples_inside_the_triangle(rows):
     assert len(grid) == rows * (rows + 1) // 2
     assert (grid >= 0).all()
     assert grid.sum(axis=1) == pytest.approx(1)
-    assert grid.mean(axis=0) == pytest.approx([1 / 3] * 3)
 
 
-def test_the_grid_begins_at_corner_0_and_ends_at_corner_2():
-    grid = barycentric_grid(3)
-    assert grid.tolist() == [
-        [1, 0, 0],
-        [0.5, 0.5, 0],
-        [0.5, 0, 0.5],
-        [0, 1, 0],
-        [0, 0.5, 0.5],
-        [0, 0, 1],
-    ]
+def test_the_grid_runs_along_the_third_corner_first():
+    thirds = barycentric_grid(2) * 6
+    assert thirds == pytest.approx(np.array([[4, 1, 1], [1, 1, 4], [1, 4, 1]]))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 6])
+def test_cell_i_j_stands_where_the_object_model_says(rows):
+    grid = barycentric_grid(rows)
+    for i in range(rows):
+        for j in range(rows - i):
+            index = i * rows - i * (i - 1) // 2 + j
+            assert grid[index, 1:] == pytest.approx([(i + 1 / 3) / rows, (j + 1 / 3) / rows])
 
 
 def test_face_colours_stay_on_their_faces():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     top = box.face_normals[:, 2] > 0.5
     box.visual.face_colors = np.where(top[:, None], RED, BLUE)
-    centres = bake(box, rows=5)[:, 6]
-    assert (centres[top] == RED[:3]).all()
-    assert (centres[~top] == BLUE[:3]).all()
+    middles = bake(box, rows=4)[:, 5]
+    assert barycentric_grid(4)[5] == pytest.approx([1 / 3] * 3, abs=0.1)
+    assert (middles[top] == RED[:3]).all()
+    assert (middles[~top] == BLUE[:3]).all()
 
 
 def test_vertex_colours_are_mixed_between_corners():

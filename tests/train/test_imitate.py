@@ -25,7 +25,8 @@ def expert(pointer):
             samples.append((obs, action))
             obs, reward, terminated, truncated, _ = env.step(action)
             over, total = terminated or truncated, total + reward
-        return Demonstration.of(samples, ACTOR_KEYS, 24 * len(samples), len(samples), total)
+        tried = 24 * len(samples)
+        return Demonstration.of(samples, ACTOR_KEYS, tried, len(samples), total), tried
 
     return act
 
@@ -35,7 +36,7 @@ def demonstrations(reach_env, expert):
     env, found = reach_env(), []
     for i in range(60):
         env.reset(seed=i, options={"heap": i % 20})
-        found.append(expert(env))
+        found.append(expert(env)[0])
     return found
 
 

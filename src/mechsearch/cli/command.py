@@ -1,6 +1,7 @@
 """What every command is: options that parse themselves, and a run."""
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
@@ -8,11 +9,16 @@ from typing import Self
 import tyro
 from rich.console import Console
 
+from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.heaps.dataset import HeapSet
-from mechsearch.objects.catalog import load_object_set
-from mechsearch.objects.model import ObjectSet
+from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.parallel import Progress
 from mechsearch.train.progress import progress_bars
+from mechsearch.types import MechSearchError
+
+WORKERS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""Processors that this process may use."""
 
 
 class Command:
@@ -45,6 +51,24 @@ def bars() -> Iterator[Progress]:
 def objects_of(heap_set: HeapSet, named: str) -> ObjectSet:
     """Return the object set that was named, or else the one that a heap set was made with."""
     return load_object_set(named or str(heap_set.manifest["config"]["objects"]))
+
+
+def models_of(evaluation: Evaluation, named: str) -> Mapping[str, ObjectModel]:
+    """Return the objects that an evaluation was recorded with, by name.
+
+    Raises:
+        MechSearchError: If the set that was named, or that the evaluation names, has others.
+    """
+    objects = load_object_set(named or str(evaluation.header["object_set"]))
+    recorded, present = evaluation.header["object_hashes"], set_hashes(objects)
+    wrong = sorted(name for name in recorded if present.get(name) != recorded[name])
+    if wrong:
+        raise MechSearchError(
+            f"{len(wrong)} of the {len(recorded)} recorded objects are missing from or differ in "
+            f"{objects.name!r}: {', '.join(wrong[:5])}; name the set they were recorded with, by "
+            "--objects"
+        )
+    return objects.models
 
 
 def say(text: str) -> None:

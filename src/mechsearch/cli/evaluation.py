@@ -8,14 +8,12 @@ from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import Command, bars, say, wrote
-from mechsearch.cli.heaps import WORKERS
+from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS, score
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
-from mechsearch.objects.catalog import load_object_set
 from mechsearch.report import tables
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.report.page import pictured
@@ -43,9 +41,12 @@ class Evaluate(Command):
         workers: Processes; the scores do not depend on their number.
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
+        brief: Print the main scores alone.
     """
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional]
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")
+    ]
     heaps: Path
     out: Path = Path("evaluations")
     name: str = ""
@@ -54,9 +55,10 @@ class Evaluate(Command):
     limit: int = 0
     seed: int = 0
     camera: str = ""
-    workers: int = WORKERS or 1
+    workers: int = WORKERS
     summary: Path | None = None
     experiment: str = "main"
+    brief: bool = False
 
     def run(self) -> None:
         """Evaluate, print the scores, and write episodes and table."""
@@ -86,8 +88,10 @@ class Evaluate(Command):
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
-        shown = [tables.score_table(scores), tables.terms_table(scores)]
-        shown += [tables.count_table(evaluations, metric) for metric in METRICS]
+        shown = [tables.score_table(scores)]
+        if not self.brief:
+            shown.append(tables.terms_table(scores))
+            shown += [tables.count_table(evaluations, metric) for metric in METRICS]
         say("\n".join(map(tables.to_text, shown)))
         say(tables.NOTE)
 
@@ -124,7 +128,7 @@ class Show(Command):
             )
         evaluation = episodes.load(self.episodes)
         record = self._episode(evaluation)
-        models = load_object_set(self.objects or evaluation.header["object_set"]).models
+        models = models_of(evaluation, self.objects)
         config = FilmConfig(self.camera, self.size)
         if self.out.suffix in FORMATS:
             write_film(self.out, Film(record, models, config, pusher_model(Pusher())), self.rate)

@@ -1,6 +1,5 @@
 """`mechsearch heaps`."""
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -8,15 +7,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import Command, bars, objects_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
 from mechsearch.heaps.dataset import HeapSet, load, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.heaps.heap import Heap
 from mechsearch.report.sheet import heap_sheet
 from mechsearch.report.tables import Table, to_text
 from mechsearch.runs import write_whole
-
-WORKERS = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Generate(Command):
     config: Annotated[GenerateConfig, tyro.conf.arg(name="")] = field(
         default_factory=GenerateConfig
     )
-    workers: int = WORKERS or 1
+    workers: int = WORKERS
 
     def run(self) -> None:
         """Generate and write the heap set."""
@@ -83,7 +80,7 @@ class Verify(Command):
 
     heaps: Annotated[Path, tyro.conf.Positional]
     objects: str = ""
-    workers: int = WORKERS or 1
+    workers: int = WORKERS
 
     def run(self) -> None:
         """Verify; exit with 1 if a heap fails."""

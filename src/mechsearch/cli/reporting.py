@@ -7,11 +7,10 @@ from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import Command, wrote
+from mechsearch.cli.command import Command, models_of, wrote
 from mechsearch.cli.evaluation import named
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.objects.catalog import load_object_set
 from mechsearch.report import curves, page, tables
 from mechsearch.report.intervals import draw_summary
 from mechsearch.runs import write_whole
@@ -54,10 +53,8 @@ def write_report(options: Report) -> None:
             f"no evaluation (.npz) under {', '.join(map(str, options.sources)) or 'nothing'}"
         )
     runs = [curves.read_run(path) for path in _runs(options.sources)]
-    header = next(iter(evaluations.values())).header
-    models = None
-    if options.pictures:
-        models = load_object_set(options.objects or header["object_set"]).models
+    first = next(iter(evaluations.values()))
+    models = models_of(first, options.objects) if options.pictures else None
     drawn = learning_curves(runs, evaluations)
     page.write_page(options.out, page.Report(options.title, evaluations, models, drawn))
 

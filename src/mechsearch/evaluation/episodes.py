@@ -28,7 +28,7 @@ class EpisodeRecord:
 
     Attributes:
         heap_seed: Seed of the heap, which names it in its set.
-        count: Number of objects that the heap's condition asks for.
+        count: Objects in each heap: N for "single", N / 2 for "dual".
         condition: Such as "single" or "dual".
         policy: Who acted.
         objects: Names of the N objects.
@@ -107,11 +107,6 @@ class Evaluation:
 
     header: Mapping[str, Any]
     episodes: tuple[EpisodeRecord, ...]
-
-    @property
-    def policy(self) -> str:
-        """Who acted, as the first episode says."""
-        return self.episodes[0].policy
 
 
 def save(path: Path, evaluation: Evaluation) -> None:

@@ -1,5 +1,6 @@
 """Runs a policy on heaps and records every episode."""
 
+import json
 from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
@@ -138,6 +139,8 @@ def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent
     Raises:
         MechSearchError: If the plan cannot be carried out, or workers keep dying.
     """
+    # Files may have changed since an equal plan was carried out in this process.
+    _prepared.cache_clear()
     env, heap_set, indices, policy = _prepared(plan)
     name = plan.title
     records: list[EpisodeRecord] = []
@@ -204,7 +207,8 @@ def _chosen(heap_set: HeapSet, plan: EvaluationPlan) -> tuple[int, ...]:
 def _header(
     plan: EvaluationPlan, env: HeapEnv, heap_set: HeapSet, policy: Policy
 ) -> dict[str, Any]:
-    return {
+    used = {name for heap in heap_set.heaps for name in heap.objects}
+    header = {
         "name": plan.title,
         "policy": plan.policy,
         "keys": list(policy.keys),
@@ -215,8 +219,16 @@ def _header(
         "heap_set": heap_set.hash,
         "condition": heap_set.manifest["config"]["condition"],
         "object_set": plan.objects or heap_set.manifest["config"]["objects"],
+        "object_hashes": {
+            name: digest
+            for name, digest in heap_set.manifest["object_hashes"].items()
+            if name in used
+        },
         "split": plan.split,
         "env": asdict(env.config),
         "engine": heap_set.manifest["engine"],
         "version": version("mechsearch"),
     }
+    # As it will be read back: lists for tuples.
+    plain: dict[str, Any] = json.loads(json.dumps(header))
+    return plain

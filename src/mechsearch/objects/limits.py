@@ -67,8 +67,9 @@ def why_wrong_mass(mass: float, volume: float) -> str:
     return ""
 
 
-def why_wrong_shape(error: float) -> str:
-    """Return why convex parts with this error [m] cannot stand for a mesh, or nothing."""
+def why_wrong_shape(error: float, remark: str) -> str:
+    """Return why convex parts with this error [m] cannot stand for a mesh, or an empty string."""
     if error > GROSS_ERROR:
-        return f"its convex parts are up to {1000 * error:.0f} mm from its mesh"
+        cause = f" ({remark})" if remark else ""
+        return f"its convex parts are up to {1000 * error:.0f} mm from its mesh{cause}"
     return ""

@@ -78,10 +78,11 @@ def prepare(source: Source) -> Prepared:
     pieces = read_pieces(source.mesh)
     mesh = joined(pieces)
     try:
+        whole = single_hull(mesh)
         vertices, faces = simplified(mesh)
         wrong_size = why_wrong_size(source.name, np.asarray(mesh.vertices))
         convex = (
-            single_hull(mesh)
+            whole
             if wrong_size
             else convex_parts(mesh, trimesh.Trimesh(vertices, faces, process=False))
         )
@@ -92,7 +93,7 @@ def prepare(source: Source) -> Prepared:
     excluded = (
         wrong_size
         or why_wrong_mass(source.mass, float(mesh.convex_hull.volume))
-        or why_wrong_shape(convex.error)
+        or why_wrong_shape(convex.error, convex.remark)
     )
     model = _model(source, vertices - body.centre, faces, texels, convex, body)
     return Prepared(model, excluded, convex.remark)

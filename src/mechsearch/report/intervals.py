@@ -9,6 +9,7 @@ from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, METRICS, Estimate
 from mechsearch.evaluation.summary import SummaryRow
 from mechsearch.report.figures import COLOURS, GREY, grid, style, to_svg
 from mechsearch.report.tables import Scores, display
+from mechsearch.types import MechSearchError
 
 
 def draw_intervals(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str] = ()) -> str:
@@ -29,16 +30,41 @@ def draw_intervals(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[s
 
 
 def draw_summary(rows: Sequence[SummaryRow]) -> str:
-    """Return an SVG of a summary's rows, one dot for every seed."""
-    scores: dict[str, dict[tuple[int, int], dict[str, Estimate]]] = {}
-    for row in rows:
-        seeds = scores.setdefault(row.variant, {}).setdefault((row.seed, row.actions), {})
-        seeds[row.metric] = Estimate(row.mean, row.ci_low, row.ci_high, 0)
-    trained = [row.variant for row in rows if row.actions > 0]
-    return draw_intervals(
-        {variant: list(seeds.values()) for variant, seeds in scores.items()},
-        list(dict.fromkeys(trained)),
-    )
+    """Return an SVG of a summary's rows, one dot for every seed; what learnt is in colour.
+
+    Raises:
+        MechSearchError: If there is no row.
+    """
+    if not rows:
+        raise MechSearchError("the summary has no rows to draw; expected at least one")
+    ordered = sorted(rows, key=_rank)
+    scores: dict[str, dict[int, dict[str, Estimate]]] = {}
+    for row in ordered:
+        seeds = scores.setdefault(_label(row, rows), {})
+        estimate = Estimate(row.mean, row.ci_low, row.ci_high, 0)
+        seeds.setdefault(row.seed, {})[row.metric] = estimate
+    trained = dict.fromkeys(_label(row, rows) for row in ordered if row.actions)
+    return draw_intervals({name: list(s.values()) for name, s in scores.items()}, list(trained))
+
+
+def _rank(row: SummaryRow) -> tuple[str, str, bool, bool, str, int]:
+    teacher = row.variant.startswith("teacher-")
+    return row.experiment, row.condition, not row.actions, not teacher, row.variant, row.actions
+
+
+def _label(row: SummaryRow, rows: Sequence[SummaryRow]) -> str:
+    """Return a row's variant, with as much as it takes to tell it from the others."""
+    words = [
+        text
+        for text, several in (
+            (row.experiment, len({r.experiment for r in rows}) > 1),
+            (row.condition, len({r.condition for r in rows}) > 1),
+            (row.variant, True),
+            (f"{row.actions:,}", len({r.actions for r in rows if r.variant == row.variant}) > 1),
+        )
+        if several
+    ]
+    return ", ".join(words)
 
 
 def _panel(
@@ -49,7 +75,8 @@ def _panel(
         colour = COLOURS[highlight.index(name) % len(COLOURS)] if name in highlight else GREY
         ticks.append(row + (len(seeds) - 1) / 2)
         for values in seeds:
-            _mark(ax, values[metric], scale, row, colour)
+            if metric in values:
+                _mark(ax, values[metric], scale, row, colour)
             row += 1
         row += 0.5
     arrow = "more is better →" if HIGHER_IS_BETTER[metric] else "← less is better"

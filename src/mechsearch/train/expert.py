@@ -1,7 +1,7 @@
 """The look-ahead expert as a teacher of `plus`, and the store of what it shows."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -11,8 +11,11 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig
 from mechsearch.heaps.dataset import check_objects, load, object_set
 from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.runs import write_json
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.types import Observation
+
+FAILED = ".failed.json"
 
 
 class LookAheadExpert:
@@ -27,8 +30,13 @@ class LookAheadExpert:
         """
         self._look_ahead = LookAhead(env.heaps, env.objects, env.config, config)
 
-    def __call__(self, env: HeapEnv) -> Demonstration | None:
-        """Execute the best push found; return what was seen and done, or None without success."""
+    def __call__(self, env: HeapEnv) -> tuple[Demonstration | None, int]:
+        """Execute the best push found.
+
+        Returns:
+            What was seen and done, or None if no push uncovers the target; and the number of
+            actions simulated.
+        """
         snapshot = env.snapshot()
         plan = self._look_ahead.plan(snapshot, env.heap.seed)
         obs: Observation = env.restore(snapshot)
@@ -38,10 +46,11 @@ class LookAheadExpert:
             obs, reward, _, _, _ = env.step(action)
             total += reward
         if not pairs:
-            return None
-        return Demonstration.of(
+            return None, plan.simulated_actions
+        shown = Demonstration.of(
             pairs, env.config.keys, plan.simulated_actions, len(plan.actions), total
         )
+        return shown, plan.simulated_actions
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,7 @@ class DemonstrateConfig:
     count: int = 0
     starts: int = 1
     seed: int = 0
-    look_ahead: LookAheadConfig = LookAheadConfig()
+    look_ahead: LookAheadConfig = field(default_factory=LookAheadConfig)
 
 
 def demonstrate(
@@ -98,11 +107,10 @@ def demonstrate(
     todo = [name for name in names if name not in done]
     progress("demonstrated heaps", len(names) - len(todo), len(names))
     work = _Demonstrate(config)
-    for i, (name, demonstration) in enumerate(
-        zip(todo, map_in_order(work, todo, workers), strict=True)
-    ):
+    results = map_in_order(work, todo, workers)
+    for i, (name, (demonstration, simulated)) in enumerate(zip(todo, results, strict=True)):
         if demonstration is None:
-            (path / f"{name}.failed").touch()
+            write_json(path / f"{name}{FAILED}", {"simulated_actions": simulated})
         else:
             store.write(name, demonstration)
         progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
@@ -111,7 +119,7 @@ def demonstrate(
 
 def failed(path: Path) -> list[str]:
     """Return the names of heaps for which no push succeeded."""
-    return [file.stem for file in path.glob("*.failed")]
+    return [file.name.removesuffix(FAILED) for file in path.glob(f"*{FAILED}")]
 
 
 def spread_over_counts(counts: Sequence[int], first: int, last: int) -> list[int]:
@@ -130,7 +138,7 @@ class _Demonstrate:
 
     config: DemonstrateConfig
 
-    def __call__(self, name: str) -> Demonstration | None:
+    def __call__(self, name: str) -> tuple[Demonstration | None, int]:
         start, heap = (int(part) for part in name.split("-"))
         env, expert = _workshop(self.config)
         seed = int(np.random.default_rng([self.config.seed, start, heap]).integers(2**31))
@@ -141,7 +149,5 @@ class _Demonstrate:
 @cache
 def _workshop(config: DemonstrateConfig) -> tuple[HeapEnv, LookAheadExpert]:
     heap_set = load(config.heaps)
-    env = HeapEnv(
-        heap_set.train, object_set(config.objects), HeapEnvConfig(camera=heap_set.camera)
-    )
+    env = HeapEnv(heap_set.train, object_set(config.objects), HeapEnvConfig(camera=heap_set.camera))
     return env, LookAheadExpert(env, config.look_ahead)

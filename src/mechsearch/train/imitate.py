@@ -22,8 +22,9 @@ from mechsearch.train.session import Env, Parts
 from mechsearch.train.speed import Speed
 from mechsearch.types import select
 
-Expert = Callable[[Env], Demonstration | None]
-"""Acts from the environment's present state to the episode's end; None where it knows no way."""
+Expert = Callable[[Env], tuple[Demonstration | None, int]]
+"""Acts from the environment's present state to the episode's end, and counts the actions that it
+simulated; None where it knows no way."""
 
 CORRECTIONS = "corrections"
 
@@ -202,8 +203,8 @@ def _corrected_episode(run: ImitationRun, parts: Parts, expert: Expert) -> Demon
         run.counts["executed"] += 1
         if terminated or truncated:
             return None
-    correction = expert(env)
+    correction, simulated = expert(env)
+    run.counts["simulated"] += simulated
     if correction is not None:
         run.counts["executed"] += correction.executed_actions
-        run.counts["simulated"] += correction.simulated_actions
     return correction

@@ -1,0 +1,287 @@
+import importlib
+import importlib.util
+import json
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from mechsearch.cli import COMMANDS, main
+from mechsearch.cli.evaluation import file_name, named
+from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.metrics import METRICS
+from mechsearch.types import MechSearchError
+
+
+def failure(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line that a command says before it exits with 2."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err
+    assert said.err.startswith("mechsearch: ")
+    assert said.err.count("\n") == 1
+    return said.err
+
+
+@pytest.fixture(scope="module")
+def heaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "heaps.parquet"
+    options = ["--heaps", "4", "--counts", "4", "--workers", "1", "--seed", "3"]
+    main(["heaps", "generate", "--out", str(path), *options])
+    return path
+
+
+@pytest.fixture(scope="module")
+def scores(heaps: Path) -> Path:
+    out = heaps.parent / "evaluations"
+    words = ["evaluate", "idle", "random", "--heaps", str(heaps), "--out", str(out)]
+    main([*words, "--workers", "1", "--summary", str(out / "summary.csv")])
+    return out
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--version"])
+    assert capsys.readouterr().out == f"mechsearch {importlib.metadata.version('mechsearch')}\n"
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_help_lists_every_command(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    main(words)
+    said = capsys.readouterr().out
+    assert all(f"  {name} " in said for name in COMMANDS)
+    assert max(map(len, said.splitlines())) <= 100
+
+
+def test_a_group_lists_its_own_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["heaps"])
+    said = capsys.readouterr().out
+    assert "heaps verify" in said
+    assert "evaluate" not in said
+
+
+def test_python_can_run_the_package(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["mechsearch", "--version"])
+    runpy.run_module("mechsearch", run_name="__main__")
+    assert capsys.readouterr().out.startswith("mechsearch ")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    if COMMANDS[name].learns:
+        pytest.importorskip("torch")
+    with pytest.raises(SystemExit) as stopped:
+        main([*name.split(), "--help"])
+    assert stopped.value.code == 0
+    assert f"mechsearch {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["bogus"], "unknown command 'bogus'; choose one of assets pull, objects list"),
+        (["heaps", "bogus"], "unknown command 'heaps bogus'; choose one of heaps generate"),
+        (["objects", "list", "--objects", "no/such"], "no/such"),
+        (["heaps", "show", "absent.parquet"], "no heap set at absent.parquet"),
+        (["evaluate", "idle", "--heaps", "absent.parquet"], "no heap set at absent.parquet"),
+        (["evaluate", "nobody", "--heaps", "absent.parquet"], "unknown policy 'nobody'"),
+        (["evaluate", "--heaps", "absent.parquet"], "0 policies given"),
+        (["show", "absent.npz"], "no evaluation at absent.npz"),
+        (["show", "absent.npz", "--out", "a.bmp"], "unknown format '.bmp'; choose one of .png"),
+        (["report", "absent"], "there is nothing at absent"),
+        (["report", "absent.csv"], "no summary at absent.csv"),
+        (["heaps", "generate", "--out", "h.parquet", "--condition", "triple"], "'triple'"),
+        (["heaps", "generate", "--out", "h.parquet", "--heaps", "4"], "multiple of 3"),
+    ],
+)
+def test_bad_input_is_answered_in_one_line(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in failure(words, capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_option_exits_with_2(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["objects", "list", "--colour", "red"])
+    assert stopped.value.code == 2
+    assert "--colour" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [name for name, entry in COMMANDS.items() if entry.learns])
+def test_learning_without_pytorch_says_what_to_install(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert "install mechsearch[learn]" in failure([name, "--help"], capsys)
+
+
+def test_an_interruption_says_that_files_are_whole(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(words: list[str]) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mechsearch.cli._dispatch", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        main([])
+    assert stopped.value.code == 130
+    assert "whole" in capsys.readouterr().err
+
+
+def test_a_message_of_several_lines_becomes_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(words: list[str]) -> None:
+        raise MechSearchError("first\n  second")
+
+    monkeypatch.setattr("mechsearch.cli._dispatch", fail)
+    assert failure([], capsys) == "mechsearch: first second\n"
+
+
+def test_objects_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["objects", "list"])
+    assert "golf_ball" in capsys.readouterr().out
+    main(["objects", "sheet", "--size", "32", "--out", str(tmp_path / "sheet.png")])
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.width == 8 * 42 + 10
+
+
+def test_heaps_are_described_drawn_and_verified(
+    heaps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["heaps", "show", str(heaps), "--out", str(tmp_path / "heaps.png")])
+    said = capsys.readouterr().out
+    assert "4 single heaps of household objects, seed 3" in said
+    assert (tmp_path / "heaps.png").stat().st_size > 1000
+    main(["heaps", "verify", str(heaps), "--workers", "1"])
+    assert "4 of 4 heaps rest" in capsys.readouterr().out
+
+
+def test_heaps_are_not_overwritten(heaps: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = heaps.read_bytes()
+    words = ["heaps", "generate", "--out", str(heaps), "--heaps", "4", "--counts", "4"]
+    assert "exists already" in failure([*words, "--workers", "1"], capsys)
+    assert heaps.read_bytes() == before
+
+
+def test_scores_are_recorded_and_entered_into_the_summary(scores: Path) -> None:
+    for policy in ("idle", "random"):
+        evaluation = episodes.load(scores / f"{policy}.npz")
+        assert evaluation.header["name"] == policy
+        assert len(evaluation.episodes) == 2
+    rows = summary.read(scores / "summary.csv")
+    assert len(rows) == 2 * len(METRICS)
+    assert {(row.condition, row.actions, row.seed) for row in rows} == {("single", 0, 0)}
+
+
+def test_an_episode_is_shown_as_picture_and_film(
+    scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["show", str(scores / "random.npz"), "--size", "64", "--out"]
+    main([*words, str(tmp_path / "a.png"), "--which", "best"])
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width == 2 * 64 + 6
+    main([*words, str(tmp_path / "a.gif"), "--camera", "tilted"])
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames > 5
+    message = failure([*words, str(tmp_path / "b.png"), "--which", "7"], capsys)
+    assert "choose one of worst, median, best, or a heap's seed" in message
+
+
+def test_episodes_recorded_with_other_objects_are_not_drawn(
+    scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluation = episodes.load(scores / "idle.npz")
+    name, *_ = evaluation.header["object_hashes"]
+    header = {**evaluation.header, "object_hashes": {name: "0" * 64}}
+    episodes.save(tmp_path / "idle.npz", Evaluation(header, evaluation.episodes))
+    message = failure(["show", str(tmp_path / "idle.npz")], capsys)
+    assert (
+        f"1 of the 1 recorded objects are missing from or differ in 'household': {name}" in message
+    )
+
+
+def test_a_page_and_a_plot_are_made_from_files_alone(scores: Path, tmp_path: Path) -> None:
+    main(["report", str(scores), "--out", str(tmp_path / "r.html"), "--title", "Two of them"])
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "<h1>Two of them</h1>" in text
+    assert "data:image/png" in text
+    main(["report", str(scores / "summary.csv"), "--out", str(tmp_path / "s.svg")])
+    assert "<svg" in (tmp_path / "s.svg").read_text()
+
+
+def test_a_run_is_trained_continued_and_evaluated(
+    heaps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    run = tmp_path / "run"
+    words = ["train", "debug", "--heaps", str(heaps), "--out", str(run), "--actions", "12"]
+    words += ["--warmup", "8", "--validation-heaps", "1", "--evaluate-every", "12", "--seed", "5"]
+    main(words)
+    assert "holds a run already" in failure(words, capsys)
+    main(["train", "--resume", str(run), "--actions", "14"])
+    assert json.loads((run / "config.json").read_text())["actions"] == 14
+    out = tmp_path / "evaluations"
+    table = tmp_path / "summary.csv"
+    words = ["evaluate", str(run), "--heaps", str(heaps), "--out", str(out), "--workers", "1"]
+    main([*words, "--limit", "1", "--summary", str(table)])
+    header = episodes.load(out / "debug-seed5-14.npz").header
+    assert (header["trained"], header["training_actions"]) == (True, 14)
+    assert {(row.variant, row.seed, row.actions) for row in summary.read(table)} == {
+        ("debug", 5, 14)
+    }
+    main(["report", str(out), str(run), "--out", str(tmp_path / "r.html"), "--no-pictures"])
+    assert "Evaluations during training" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["metod"], "unknown variant 'metod'; choose one of method, ddpg"),
+        (["--resume"], "--resume needs a run directory"),
+        (["--resume", "absent"], "no training configuration at"),
+        (["debug", "--resume"], "mechsearch train --resume FOLDER"),
+    ],
+)
+def test_training_that_cannot_begin_says_why(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    assert message in failure(["train", *words], capsys)
+
+
+def make(name: str, seed: int | None = None, actions: int = 0) -> Evaluation:
+    trained = seed is not None
+    header = {"name": name, "trained": trained, "training_seed": seed, "training_actions": actions}
+    return Evaluation(header, ())
+
+
+def test_names_tell_runs_apart_no_more_than_needed() -> None:
+    found = [make("idle"), make("teacher-spiral"), make("ddpg", 0, 9), make("method", 0, 9)]
+    assert list(named(found)) == ["ddpg", "method", "teacher-spiral", "idle"]
+    seeds = [make("method", 1, 9), make("method", 0, 9)]
+    assert set(named(seeds)) == {"method, seed 0", "method, seed 1"}
+    lengths = [make("method", 0, 4000), make("method", 0, 8000)]
+    assert list(named(lengths)) == [
+        "method, seed 0, 4,000 actions",
+        "method, seed 0, 8,000 actions",
+    ]
+    assert len(named([make("idle"), make("idle")])) == 2
+
+
+def test_file_names_hold_nothing_strange() -> None:
+    assert file_name(make("my.module:Policy")) == "my.module-Policy"
+    assert file_name(make("method", 2, 8000)) == "method-seed2-8000"
