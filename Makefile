@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 .PHONY: demo test check unit test-all lock clean
 
 demo: $(READY)
-	$(BIN)/mechsearch demo --output demo
+	$(BIN)/mechsearch demo --out demo
 
 test: check unit
 

@@ -2,22 +2,38 @@
 
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
 environments, `generate` and `load_heaps` heap sets, `load_object_set` objects, and `make_policy`
-policies by name, file or function.
+policies by name, file or function. Each is imported when it is first used.
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.register import make_env, register
-from mechsearch.evaluation.policies import make_policy
-from mechsearch.heaps.dataset import load as load_heaps
-from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.objects.catalog import load_object_set
-from mechsearch.types import MechSearchError, Policy
+import gymnasium
+
+if TYPE_CHECKING:
+    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+    from mechsearch.env.register import make_env
+    from mechsearch.evaluation.policies import make_policy
+    from mechsearch.heaps.dataset import load as load_heaps
+    from mechsearch.heaps.generate import GenerateConfig, generate
+    from mechsearch.objects.catalog import load_object_set
+    from mechsearch.types import MechSearchError, Policy
+
+_PLACES = {
+    "GenerateConfig": "heaps.generate:GenerateConfig",
+    "HeapEnv": "env.heap_env:HeapEnv",
+    "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
+    "MechSearchError": "types:MechSearchError",
+    "Policy": "types:Policy",
+    "generate": "heaps.generate:generate",
+    "load_heaps": "heaps.dataset:load",
+    "load_object_set": "objects.catalog:load_object_set",
+    "make_env": "env.register:make_env",
+    "make_policy": "evaluation.policies:make_policy",
+}
 
 __version__ = version("mechsearch")
-register()
-
 __all__ = [
     "GenerateConfig",
     "HeapEnv",
@@ -30,3 +46,17 @@ __all__ = [
     "make_env",
     "make_policy",
 ]
+
+for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):
+    gymnasium.register(
+        f"mechsearch/{_name}-v0",
+        entry_point="mechsearch.env.register:make_env",
+        kwargs={"condition": _condition},
+    )
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'mechsearch' has no attribute {name!r}")
+    module, _, attribute = _PLACES[name].partition(":")
+    return getattr(import_module(f"mechsearch.{module}"), attribute)

@@ -4,8 +4,9 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker
 
 import mechsearch
-from mechsearch.env.register import IDS
 from mechsearch.types import ACTOR_KEYS, MechSearchError
+
+IDS = ("mechsearch/SingleHeap-v0", "mechsearch/DualHeap-v0")
 
 
 @pytest.mark.parametrize("name", IDS)

@@ -1,11 +1,9 @@
-"""The Gymnasium ids, and one function that makes any environment from names and files."""
+"""One function that makes any environment from names and files."""
 
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
-
-import gymnasium
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
@@ -13,7 +11,6 @@ from mechsearch.heaps.heap import check_condition
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.types import MechSearchError
 
-IDS = {"mechsearch/SingleHeap-v0": "single", "mechsearch/DualHeap-v0": "dual"}
 SPLITS = ("train", "held-out", "all")
 
 
@@ -60,14 +57,3 @@ def make_env(
             f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
         )
     return HeapEnv(chosen[split], object_set, replace(base, **settings), render_mode)
-
-
-def register() -> None:
-    """Make the ids known to Gymnasium."""
-    for name, condition in IDS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name,
-                entry_point="mechsearch.env.register:make_env",
-                kwargs={"condition": condition},
-            )
