@@ -39,6 +39,15 @@ def test_a_transition_is_a_row_and_its_next_observation_the_next_row():
     np.testing.assert_array_equal(batch.reward, batch.obs["who"] @ [10, 1])
 
 
+def test_what_was_done_next_is_known_except_at_an_episodes_end():
+    replay = empty()
+    play(replay, 1, 5, terminated=False)
+    batch = replay.sample(300, np.random.default_rng(0))
+    np.testing.assert_array_equal(batch.next_known, batch.next_obs["who"][:, 1] < 5)
+    done, seen = batch.next_action[batch.next_known], batch.next_obs["who"][batch.next_known]
+    np.testing.assert_array_equal(done[:, :2], seen)
+
+
 def test_termination_cuts_the_bootstrap_and_truncation_does_not():
     replay = empty()
     play(replay, 1, 3, terminated=True)

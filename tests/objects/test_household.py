@@ -63,7 +63,7 @@ def test_sizes_and_masses_are_the_published_ones(name):
 def test_object_can_lie_in_a_heap(name):
     model = MODELS[name]
     assert why_wrong_size(name, model.vertices) == ""
-    assert why_wrong_shape(model.hull_error) == ""
+    assert why_wrong_shape(model.hull_error, "") == ""
     volume = sum(ConvexHull(part).volume for part in model.parts)
     assert why_wrong_mass(model.mass, volume) == ""
 

@@ -18,6 +18,7 @@ from mechsearch.agent.weights import fill, fill_optimizer, optimizer_tensors, pa
 from mechsearch.types import Array, Floats, MechSearchError, Observation, select
 
 Metrics = dict[str, float]
+TARGET_ACTIONS = ("actor", "recorded")
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class LearnerConfig:
         saturation_penalty: Weight of the mean square of the actor's output before the tanh.
         normalise_value: Divide the actor's loss by the mean |Q|, so that scales do not matter.
         max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
+        target_action: Whose action the Bellman target takes in the next state: the "actor"'s (as
+            the paper prints) or the one "recorded" there, which values the behaviour (AC-Teach's
+            behavioural target, for teachers that cannot be asked again).
+        pessimism: Standard deviations over the dropout copies that a target is lowered by.
         symmetry: Turn and mirror every sample at random (overhead camera only).
         network: Sizes of the networks.
     """
@@ -57,6 +62,8 @@ class LearnerConfig:
     saturation_penalty: float = 0.003
     normalise_value: bool = True
     max_gradient: float = 10.0
+    target_action: str = "actor"
+    pessimism: float = 0.0
     symmetry: bool = False
     network: NetworkConfig = field(default_factory=NetworkConfig)
 
@@ -70,6 +77,16 @@ class LearnerConfig:
         for name in ("gamma", "tau"):
             if not 0 < getattr(self, name) <= 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected (0, 1]")
+        if self.target_action not in TARGET_ACTIONS:
+            raise MechSearchError(
+                f"unknown target_action {self.target_action!r}; choose one of "
+                f"{', '.join(TARGET_ACTIONS)}"
+            )
+        if self.pessimism < 0 or (self.pessimism and not self.dropout):
+            raise MechSearchError(
+                f"pessimism is {self.pessimism} with dropout {self.dropout}; expected at least 0, "
+                "and dropout with it"
+            )
         if not 0 <= self.dropout < 1:
             raise MechSearchError(f"dropout is {self.dropout}; expected a share in [0, 1)")
 
@@ -83,6 +100,8 @@ class TensorBatch:
     reward: Tensor
     discount: Tensor
     next_obs: Tensors
+    next_action: Tensor
+    next_known: Tensor
 
 
 def alpha_divergence(errors: Tensor, alpha: float, precision: float) -> Tensor:
@@ -159,19 +178,35 @@ class Learner:
 
     def _tensors(self, batch: Batch) -> TensorBatch:
         now = {**_tensors(batch.obs), "action": torch.as_tensor(batch.action)}
-        after = _tensors(batch.next_obs)
+        after = {**_tensors(batch.next_obs), "action": torch.as_tensor(batch.next_action)}
         if self.config.symmetry:
             which = torch.randint(len(SYMMETRIES), (len(batch.reward),), generator=self.generator)
             now, after = transform(now, which), transform(after, which)
         reward = torch.as_tensor(batch.reward) * self.config.reward_scale
-        return TensorBatch(now, now.pop("action"), reward, torch.as_tensor(batch.discount), after)
+        return TensorBatch(
+            now,
+            now.pop("action"),
+            reward,
+            torch.as_tensor(batch.discount),
+            after,
+            after.pop("action"),
+            torch.as_tensor(batch.next_known),
+        )
 
     def bellman_target(self, batch: TensorBatch) -> Tensor:
-        """Return r + discount * Q'(s', actor'(s')) (B,), with the target networks."""
+        """Return r + discount * Q'(s', a') (B,), with the target networks."""
         with torch.no_grad():
             action = self.actor_target(batch.next_obs)
-            value: Tensor = self.critic_target(batch.next_obs, action)
-            return batch.reward + batch.discount * value
+            if self.config.target_action == "recorded":
+                action = torch.where(batch.next_known[:, None], batch.next_action, action)
+            return batch.reward + batch.discount * self._target_value(batch.next_obs, action)
+
+    def _target_value(self, obs: Tensors, action: Tensor) -> Tensor:
+        if not self.config.pessimism:
+            value: Tensor = self.critic_target(obs, action)
+            return value
+        samples: Tensor = self.critic_target(obs, action, self._masks(len(action)))
+        return samples.mean(dim=0) - self.config.pessimism * samples.std(dim=0)
 
     def update_critic(self, batch: TensorBatch) -> Metrics:
         """Take one step towards the Bellman target; return losses and Q."""

@@ -21,6 +21,8 @@ class Batch:
         reward: Sum of the discounted rewards until `next_obs` (B,).
         discount: What multiplies the value of `next_obs` (B,): 0 after a termination.
         next_obs: Observations n actions later, or where the episode stopped before.
+        next_action: What was executed there (B, 3).
+        next_known: Whether anything was (B,): nothing is at an episode's end.
     """
 
     obs: dict[str, Array]
@@ -28,6 +30,8 @@ class Batch:
     reward: NDArray[np.float32]
     discount: NDArray[np.float32]
     next_obs: dict[str, Array]
+    next_action: NDArray[np.float32]
+    next_known: NDArray[np.bool_]
 
 
 class Replay:
@@ -117,6 +121,8 @@ class Replay:
             reward,
             discount,
             {key: store[last] for key, store in self.obs.items()},
+            self.action[last],
+            self.complete[last],
         )
 
     def _look_ahead(self, start: Array, horizon: int) -> tuple[Array, Array, Array]:
