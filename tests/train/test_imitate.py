@@ -80,10 +80,9 @@ def test_a_resumed_imitation_is_the_one_that_was_never_stopped(
             raise Killed
         return expert(env)
 
-    plus = replace(
-        plus, imitation=replace(plus.imitation, updates=40, corrected_actions=200, longest_lead=3)
-    )
-    plus = replace(plus, evaluate_every=25)
+    total = sum(d.executed_actions for d in demonstrations) + 200
+    plan = replace(plus.imitation, updates=40, executed_actions=total, longest_lead=3)
+    plus = replace(plus, imitation=plan, evaluate_every=25)
     imitate(plus, demonstrations, tmp_path / "whole", make_parts(), expert)
     with pytest.raises(Killed):
         imitate(plus, demonstrations, tmp_path / "parts", make_parts(), dying)
@@ -96,10 +95,11 @@ def test_a_resumed_imitation_is_the_one_that_was_never_stopped(
 def test_corrections_are_counted_kept_and_learnt(
     plus, demonstrations, make_parts, expert, tmp_path
 ):
-    plan = replace(plus.imitation, updates=20, corrected_actions=60, longest_lead=4)
+    shown = sum(d.executed_actions for d in demonstrations)
+    plan = replace(plus.imitation, updates=20, executed_actions=shown + 60, longest_lead=4)
     imitate(replace(plus, imitation=plan), demonstrations, tmp_path, make_parts(), expert)
     last = lines(tmp_path, "corrections")[-1]
-    assert 60 <= last["executed"] < 90
+    assert shown + 60 <= last["executed"] < shown + 90
     before = sum(d.simulated_actions for d in demonstrations)
     assert last["simulated"] > before
     assert len(list((tmp_path / "corrections").glob("*.npz"))) == last["episodes"] > 0

@@ -67,7 +67,7 @@ def test_contradictions_are_refused(changes, message):
 
 def test_corrections_need_imitation():
     with pytest.raises(MechSearchError, match="imitation first"):
-        ImitationConfig(updates=0, corrected_actions=5)
+        ImitationConfig(updates=0, executed_actions=5)
 
 
 def test_an_unknown_variant_is_refused_with_the_valid_ones():

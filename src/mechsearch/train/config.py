@@ -30,7 +30,8 @@ class ImitationConfig:
         updates: Gradient steps on the demonstrations; 0 is no imitation.
         demonstrations: Heaps to read demonstrations of; 0 takes all.
         validation_share: Share of these heaps kept apart to measure the imitation.
-        corrected_actions: Actions of actor and expert executed to collect corrections.
+        executed_actions: Actions executed in all: those of the demonstrations, then those of actor
+            and expert for corrections, until there are so many; 0 is no corrections.
         longest_lead: Most actions of the actor before the expert takes over.
         updates_per_action: Gradient steps for each of these actions.
         corrected_rate: Learning rate then, as a share of the highest.
@@ -40,21 +41,21 @@ class ImitationConfig:
     updates: int = 0
     demonstrations: int = 0
     validation_share: float = 0.05
-    corrected_actions: int = 0
+    executed_actions: int = 0
     longest_lead: int = 25
-    updates_per_action: float = 0.5
-    corrected_rate: float = 0.1
+    updates_per_action: float = 1.0
+    corrected_rate: float = 0.2
     cloner: ClonerConfig = field(default_factory=ClonerConfig)
 
     def __post_init__(self) -> None:
-        numbers = (self.updates, self.demonstrations, self.corrected_actions, self.longest_lead)
+        numbers = (self.updates, self.demonstrations, self.executed_actions, self.longest_lead)
         if min(numbers) < 0:
             raise MechSearchError(f"imitation has a negative number among {numbers}")
         if not 0 <= self.validation_share < 1:
             raise MechSearchError(
                 f"validation_share is {self.validation_share}; expected a share in [0, 1)"
             )
-        if self.corrected_actions and not self.updates:
+        if self.executed_actions and not self.updates:
             raise MechSearchError("corrections need imitation first: updates is 0")
 
 
@@ -170,7 +171,7 @@ def _presets() -> Mapping[str, TrainConfig]:
             method,
             actions=0,
             teachers=(),
-            imitation=ImitationConfig(updates=6000, corrected_actions=8000),
+            imitation=ImitationConfig(updates=6000, executed_actions=8000),
         ),
         "debug": replace(
             method,

@@ -39,7 +39,8 @@ class ImitationRun:
         samples: What it imitates.
         validation: What measures it.
         rng: Draws batches and episodes.
-        counts: Updates, executed and simulated actions, episodes corrected.
+        counts: Updates, executed and simulated actions (demonstrations included), and episodes
+            corrected.
     """
 
     config: TrainConfig
@@ -63,6 +64,7 @@ class ImitationRun:
             samples.shapes, config.learner.network, config.imitation.cloner, config.seed
         )
         run = cls(config, cloner, samples, validation, np.random.default_rng(config.seed))
+        run.counts["executed"] = sum(d.executed_actions for d in demonstrations)
         run.counts["simulated"] = sum(d.simulated_actions for d in demonstrations)
         return run
 
@@ -123,7 +125,7 @@ def imitate(
         run.restore(checkpoint)
     log = RunLog(directory, run.counts["updates"])
     scores = _clone(run, directory_of_run, parts, log, progress)
-    if expert and config.imitation.corrected_actions:
+    if expert and run.counts["executed"] < config.imitation.executed_actions:
         scores = _correct(run, directory_of_run, parts, expert, log, progress)
     log.close()
     return scores
@@ -172,7 +174,7 @@ def _correct(
     store = DemonstrationStore(files.path / CORRECTIONS)
     store.open({"of": run.config.name})
     run.samples.add(store.read(name) for name in store.names()[: counts["episodes"]])
-    while counts["executed"] < plan.corrected_actions:
+    while counts["executed"] < plan.executed_actions:
         before = counts["executed"]
         correction = _corrected_episode(run, parts, expert)
         if correction is not None:
@@ -182,13 +184,13 @@ def _correct(
         for _ in range(round((counts["executed"] - before) * plan.updates_per_action)):
             run.update(plan.corrected_rate)
         log.write("corrections", counts["updates"], dict(counts))
-        over = counts["executed"] >= plan.corrected_actions
+        over = counts["executed"] >= plan.executed_actions
         every = run.config.evaluate_every
         if over or counts["executed"] // every > before // every:
             scores = _scored(run, files, parts, log)
             files.save(counts["updates"], *run.archive())
-        done = min(counts["executed"], plan.corrected_actions)
-        progress(label(f"{run.config.name} is corrected", scores), done, plan.corrected_actions)
+        done = min(counts["executed"], plan.executed_actions)
+        progress(label(f"{run.config.name} is corrected", scores), done, plan.executed_actions)
     return scores
 
 
