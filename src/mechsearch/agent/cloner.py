@@ -14,7 +14,7 @@ from mechsearch.agent.symmetry import SYMMETRIES, transform
 from mechsearch.agent.weights import fill, fill_optimizer, optimizer_tensors, part, prefixed
 from mechsearch.types import MechSearchError
 
-LOSSES = ("mse", "l1", "huber")
+LOSSES = ("mse", "l1", "huber", "direction")
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,9 @@ class ClonerConfig:
         rate: Highest learning rate.
         weight_decay: Of AdamW.
         batch: Samples an update.
-        loss: "mse", "l1" or "huber" between actions after the tanh.
+        loss: "mse", "l1" or "huber" between actions after the tanh, or "direction": one minus the
+            cosine, plus half the squared difference of the lengths. Several pushes are often
+            equally good, and the first three shrink towards their mean, which is to hesitate.
         symmetry: Turn and mirror every sample at random (overhead camera only).
         shift_px: Shift the images by up to so many pixels at random; 0 leaves them.
         average: Share of itself that the averaged actor keeps at each update.
@@ -111,6 +113,11 @@ class Cloner:
             return functional.mse_loss(predicted, action)
         if self.config.loss == "l1":
             return functional.l1_loss(predicted, action)
+        if self.config.loss == "direction":
+            cosine = functional.cosine_similarity(predicted, action, eps=1e-3)
+            lengths = predicted.norm(dim=1) - action.norm(dim=1)
+            loss: Tensor = (1 - cosine + 0.5 * lengths.square()).mean()
+            return loss
         return functional.huber_loss(predicted, action, delta=0.2)
 
     @torch.no_grad()
