@@ -22,13 +22,31 @@ def batch(size=64, seed=0):
     return {"depth": depth, "ee_position": position}, -4 * position
 
 
-@pytest.mark.parametrize("loss", ["mse", "l1", "huber"])
+@pytest.mark.parametrize("loss", ["mse", "l1", "huber", "direction"])
 def test_the_average_learns_the_experts_actions(loss):
     learner = cloner(loss=loss, average=0.9)
     for i in range(150):
         learner.update(*batch(seed=i))
     error = learner.error(*batch(seed=9999))
     assert error["angle_error"] < 0.3
+
+
+def test_the_direction_loss_is_one_at_a_right_angle_and_charges_lengths_apart():
+    learner = cloner(loss="direction")
+    ahead, left = torch.tensor([[1.0, 0, 0]]), torch.tensor([[0, 1.0, 0]])
+    assert learner._loss(ahead, left).item() == pytest.approx(1.0)
+    assert learner._loss(0.5 * ahead, ahead).item() == pytest.approx(0.5 * 0.5**2)
+    assert learner._loss(ahead, ahead).item() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_direction_loss_prefers_either_of_two_ways_to_hesitating_between_them():
+    ways = torch.tensor([[0.8, 0.6, 0], [0.8, -0.6, 0]])
+    mean, way = ways.mean(0).expand(2, 3), ways[:1].expand(2, 3)
+    full = mean / mean.norm(dim=1, keepdim=True)
+    direction, squares = cloner(loss="direction"), cloner(loss="mse")
+    assert direction._loss(full, ways) < direction._loss(mean, ways)
+    assert squares._loss(full, ways) > squares._loss(mean, ways)
+    assert squares._loss(way, ways) > squares._loss(mean, ways)
 
 
 def test_augmentation_turns_action_and_observation_alike():
@@ -76,5 +94,5 @@ def test_a_restored_cloner_goes_on_exactly():
 
 
 def test_an_unknown_loss_is_refused():
-    with pytest.raises(MechSearchError, match="mse, l1, huber"):
+    with pytest.raises(MechSearchError, match="mse, l1, huber, direction"):
         ClonerConfig(loss="l2")

@@ -34,9 +34,9 @@ class ClonerConfig:
     """
 
     rate: float = 1e-3
-    weight_decay: float = 1e-4
+    weight_decay: float = 1e-2
     batch: int = 128
-    loss: str = "huber"
+    loss: str = "direction"
     symmetry: bool = True
     shift_px: int = 0
     average: float = 0.998

@@ -171,7 +171,7 @@ def _presets() -> Mapping[str, TrainConfig]:
             method,
             actions=0,
             teachers=(),
-            imitation=ImitationConfig(updates=6000, executed_actions=8000),
+            imitation=ImitationConfig(updates=3000, executed_actions=8000),
         ),
         "debug": replace(
             method,
