@@ -50,8 +50,8 @@ class LearnerConfig:
 
     actor_rate: float = 3e-4
     critic_rate: float = 1e-3
-    gamma: float = 0.99
-    tau: float = 0.005
+    gamma: float = 0.9
+    tau: float = 0.01
     batch: int = 64
     horizon: int = 1
     reward_scale: float = 0.1

@@ -92,7 +92,7 @@ class TrainConfig:
     actor_keys: tuple[str, ...] = ACTOR_KEYS
     critic_keys: tuple[str, ...] = CRITIC_KEYS
     teachers: tuple[str, ...] = tuple(TEACHERS)
-    updates_per_action: float = 0.5
+    updates_per_action: float = 1.0
     warmup: int = 300
     replay_rows: int = 20_000
     evaluate_every: int = 1000
