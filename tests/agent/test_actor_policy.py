@@ -4,6 +4,7 @@ import torch
 
 from mechsearch.agent.networks import Actor, NetworkConfig
 from mechsearch.agent.policy import ActorPolicy, load_actor, save_actor
+from mechsearch.agent.symmetry import SYMMETRIES
 from mechsearch.types import ACTOR_KEYS, MechSearchError, Policy
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}
@@ -40,12 +41,25 @@ def test_training_goes_on_without_changing_a_policy(actor, obs):
 
 
 def test_a_saved_actor_acts_as_before(actor, obs, tmp_path):
-    save_actor(actor, tmp_path / "actor.safetensors", training_actions=8000)
+    save_actor(ActorPolicy(actor, 8000), tmp_path / "actor.safetensors")
     for path in (tmp_path / "actor.safetensors", tmp_path):
         loaded = load_actor(path)
         np.testing.assert_array_equal(loaded.act(obs), ActorPolicy(actor).act(obs))
         assert loaded.training_actions == 8000
         assert loaded.actor.config == actor.config
+
+
+def test_a_symmetric_policy_turns_with_the_scene(actor, obs, tmp_path):
+    policy = ActorPolicy(actor, symmetric=True)
+    batch = {key: torch.as_tensor(value)[None] for key, value in obs.items()}
+    answer = torch.as_tensor(policy.act(obs))
+    for symmetry in SYMMETRIES:
+        turned = {key: symmetry.of(key, value)[0].numpy() for key, value in batch.items()}
+        expected = symmetry.of_vectors(answer)
+        torch.testing.assert_close(torch.as_tensor(policy.act(turned)), expected)
+        torch.testing.assert_close(symmetry.undone(expected), answer)
+    save_actor(policy, tmp_path / "actor.safetensors")
+    assert load_actor(tmp_path).symmetric
 
 
 def test_an_observation_of_another_shape_is_refused(actor, obs):
@@ -58,7 +72,7 @@ def test_an_observation_of_another_shape_is_refused(actor, obs):
 
 def test_every_flipped_bit_is_found(actor, tmp_path):
     path = tmp_path / "actor.safetensors"
-    save_actor(actor, path, training_actions=1)
+    save_actor(ActorPolicy(actor, 1), path)
     whole = path.read_bytes()
     for place in np.linspace(0, len(whole) - 1, 40).astype(int):
         damaged = bytearray(whole)
@@ -72,7 +86,7 @@ def test_a_torn_file_and_a_missing_one_are_refused(actor, tmp_path):
     path = tmp_path / "actor.safetensors"
     with pytest.raises(MechSearchError, match="no mechsearch actor"):
         load_actor(path)
-    save_actor(actor, path, training_actions=1)
+    save_actor(ActorPolicy(actor, 1), path)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(MechSearchError, match="damaged"):
         load_actor(path)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from mechsearch.agent.networks import Actor
-from mechsearch.agent.policy import ACTOR_FILE, save_actor
+from mechsearch.agent.policy import ACTOR_FILE, ActorPolicy, save_actor
 from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.train.config import TrainConfig, load_config, save_config
 from mechsearch.types import MechSearchError
@@ -51,10 +50,10 @@ class RunDirectory:
         for old in self._checkpoints()[:-_KEPT]:
             old.unlink()
 
-    def save_actor(self, step: int, actor: Actor, training_actions: int) -> None:
+    def save_actor(self, step: int, policy: ActorPolicy) -> None:
         """Write the actor as it is now, both by step and as the run's last."""
         for path in (f"actors/step-{step:08d}.safetensors", ACTOR_FILE):
-            save_actor(actor, self.path / path, training_actions)
+            save_actor(policy, self.path / path)
 
     def _checkpoints(self) -> list[Path]:
         return sorted((self.path / "checkpoints").glob("step-*.safetensors"))

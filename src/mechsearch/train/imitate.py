@@ -74,6 +74,11 @@ class ImitationRun:
         self.counts["updates"] += 1
         return self.cloner.update(*batch, rate)
 
+    def policy(self) -> ActorPolicy:
+        """Return the actor as it is now; one that learnt turned views is asked about all."""
+        symmetric = self.config.imitation.cloner.symmetry
+        return ActorPolicy(self.cloner.average, self.counts["executed"], symmetric)
+
     def archive(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Return tensors and facts that `restore` takes back."""
         meta: dict[str, Any] = {"counts": dict(self.counts), "generator": generator_state(self.rng)}
@@ -156,9 +161,9 @@ def _scored(run: ImitationRun, files: RunDirectory, parts: Parts, log: RunLog) -
     if run.validation:
         rows = np.arange(min(len(run.validation), 1024))
         log.write("validation_error", step, run.cloner.error(*run.validation.take(rows)))
-    executed = run.counts["executed"]
-    files.save_actor(step, run.cloner.average, executed)
-    return evaluate(ActorPolicy(run.cloner.average, executed), step, parts.evaluators, log)
+    policy = run.policy()
+    files.save_actor(step, policy)
+    return evaluate(policy, step, parts.evaluators, log)
 
 
 def _correct(
@@ -197,6 +202,7 @@ def _correct(
 def _corrected_episode(run: ImitationRun, parts: Parts, expert: Expert) -> Demonstration | None:
     """Let the actor act for a random while and the expert finish; return the expert's part."""
     env, rng = parts.env, run.rng
+    # The bare actor strays further than the averaged one, and shows more to correct.
     actor = ActorPolicy(run.cloner.average)
     heap, seed = int(rng.choice(parts.heaps)), int(rng.integers(2**31))
     obs, _ = env.reset(seed=seed, options={"heap": heap})

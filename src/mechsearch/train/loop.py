@@ -51,7 +51,7 @@ def train(
             log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
             policy = ActorPolicy(session.learner.actor, session.step)
             scores = evaluate(policy, session.step, parts.evaluators, log)
-            run.save_actor(session.step, session.learner.actor, session.step)
+            run.save_actor(session.step, policy)
         if terminated or truncated:
             if session.step - last_saved >= config.checkpoint_every:
                 run.save(session.step, *session.archive())
