@@ -35,5 +35,5 @@ for name, policy in (
 ):
     scores = score(run(policy, env, range(6)))
     reward, change = scores["reward"], scores["visibility_change"]
-    print(f"{name}: reward {reward.mean:.1f} [{reward.low:.1f}, {reward.high:.1f}]", end=", ")
+    print(f"{name}: reward {reward.mean:.1f} [{reward.ci_low:.1f}, {reward.ci_high:.1f}]", end=", ")
     print(f"occlusion reduced by {change.mean:.2f}")
