@@ -65,6 +65,7 @@ class Demo(Command):
             preset_config("method"),
             seed=self.seed,
             actions=self.actions,
+            updates_per_action=0.5,
             evaluate_every=500,
             validation_heaps=min(12, self.heaps // 8),
         )
