@@ -20,7 +20,6 @@ PRIVILEGED_KEYS = ("target_offset", "clutter_offsets", "clutter_mask")
 """What only a simulator knows (paper, section III-C): object positions relative to the effector."""
 
 TEACHER_KEYS = ("ee_position", *PRIVILEGED_KEYS)
-CRITIC_KEYS = TEACHER_KEYS
 
 ACTION_LENGTH = 0.05
 """Longest displacement of the end effector in one action [m] (paper, section IV-A)."""
