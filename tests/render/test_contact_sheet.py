@@ -43,7 +43,7 @@ def test_no_face_seen_from_outside_is_inside_out(name):
     body = Body(model)
     for eye in np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.6, 0.6]]]):
         directions = (aims - eye).astype(np.float32)
-        hits = body.cast(eye, directions, np.zeros(3), np.eye(3))
+        hits = body.cast(eye, directions, np.eye(3, dtype=np.float32))
         met = hits.triangle >= 0
         towards = np.einsum("nd,nd->n", normals[hits.triangle[met]], directions[met])
         assert met.sum() > 290

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -353,7 +353,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         failure: str | None,
     ) -> dict[str, Any]:
         return {
-            "reward_terms": asdict(reward),
+            "reward_terms": dict(vars(reward)),
             "occlusion": self._occlusion,
             "end": end,
             "failure": failure,

@@ -52,29 +52,29 @@ class Body:
         self._rows = int((np.sqrt(8 * model.texels.shape[1] + 1) - 1) / 2)
 
     def depths(
-        self, origin: Floats, directions: Array, position: Floats, rotation: Floats
+        self, start: Array, directions: Array, rotation: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Return how far rays from one point go before they meet the object.
 
         Args:
-            origin: Where all rays start (3,) [m].
-            directions: Of the rays (K, 3) float32.
-            position: Of the object (3,) [m].
-            rotation: Of the object (3, 3).
+            start: Where all rays start, in the object's frame (3,) [m].
+            directions: Of the rays, in the world's frame (K, 3) float32.
+            rotation: Of the object (3, 3) float32.
 
         Returns:
             Distances (K,) in units of each ray's direction; above `NO_HIT` where it misses.
         """
-        starts, local = _moved_into(origin, directions, position, rotation)
-        return np.asarray(self._scene.run(starts, local, query="DISTANCE"), np.float32)
+        starts, local = _moved_into(start, directions, rotation)
+        found: NDArray[np.float32] = self._scene.run(starts, local, query="DISTANCE")
+        return found
 
-    def cast(self, origin: Floats, directions: Array, position: Floats, rotation: Floats) -> Hits:
+    def cast(self, start: Array, directions: Array, rotation: NDArray[np.float32]) -> Hits:
         """Return the first hits of rays; arguments as for `depths`."""
-        starts, local = _moved_into(origin, directions, position, rotation)
+        starts, local = _moved_into(start, directions, rotation)
         hit = self._scene.run(starts, local, output=1)
         return Hits(hit["tfar"], hit["primID"], hit["u"], hit["v"])
 
-    def colours(self, hits: Hits, rotation: Floats) -> NDArray[np.uint8]:
+    def colours(self, hits: Hits, rotation: Array) -> NDArray[np.uint8]:
         """Return the shaded colour (K, 3) of hits that all met the object."""
         n = self._rows
         i = np.minimum((hits.u * n).astype(np.intp), n - 1)
@@ -92,9 +92,9 @@ def body_of(model: ObjectModel) -> Body:
 
 
 def _moved_into(
-    origin: Floats, directions: Array, position: Floats, rotation: Floats
+    start: Array, directions: Array, rotation: NDArray[np.float32]
 ) -> tuple[Array, Array]:
-    local = directions @ rotation.astype(np.float32)
+    local = directions @ rotation
     starts = np.empty_like(local)
-    starts[:] = (origin - position) @ rotation
+    starts[:] = start
     return starts, local

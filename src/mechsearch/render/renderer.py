@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.objects.model import ObjectModel
-from mechsearch.render.body import NO_HIT, body_of
+from mechsearch.render.body import NO_HIT, Body, body_of
 from mechsearch.render.view import Block, View
 from mechsearch.types import Array, Floats, MechSearchError
 
@@ -122,7 +121,8 @@ class Renderer:
         heap = self._heap(seen, states)
         depth, ids = heap.depth.copy(), heap.ids.copy()
         if self._pusher is not None and pusher is not None:
-            self._add_pusher(seen, np.asarray(pusher, np.float64), depth, ids)
+            (patch,) = _cast(seen, [self._pusher], np.asarray(pusher, np.float64)[None])
+            _compose(depth, ids, patch, PUSHER)
         rgb = self._colours(seen, states, pusher, ids) if colour else None
         depth[depth > NO_HIT] = 0.0
         return Frame(depth, ids, heap.amodal.copy(), rgb)
@@ -145,9 +145,8 @@ class Renderer:
         ids = np.full(depth.shape, BACKGROUND, np.int16)
         amodal = np.zeros((len(self.bodies), *depth.shape), np.bool_)
         for i, patch in enumerate(seen.patches):
-            if not patch.block.empty:
-                amodal[i][patch.block.of] = patch.depth < NO_HIT
-                _compose(depth, ids, patch, i)
+            amodal[i][patch.block.of] = patch.depth < NO_HIT
+            _compose(depth, ids, patch, i)
         seen.frame = Frame(depth, ids, amodal, None)
         return seen.frame
 
@@ -156,33 +155,13 @@ class Renderer:
         if seen.frame is not None:
             moved = (states != seen.poses).any(axis=1)
         which = np.flatnonzero(moved).tolist()
-        positions, rotations = states[moved, :3], rotation_from_quaternion(states[moved, 3:])
-        blocks = seen.view.blocks([self.bodies[i] for i in which], positions, rotations)
-        patches = list(seen.patches) or [_Patch(Block(0, 0, 0, 0), seen.empty)] * len(states)
-        for k, i in enumerate(which):
-            block = blocks[k].within(seen.view.frame)
-            if block.empty:
-                patches[i] = _Patch(block, seen.empty)
-                continue
-            rays = seen.rays[block.of]
-            depth = self.bodies[i].depths(
-                seen.view.origin, rays.reshape(-1, 3), positions[k], rotations[k]
-            )
-            patches[i] = _Patch(block, depth.reshape(rays.shape[:2]))
+        bodies = [self.bodies[i] for i in which]
+        patches = list(seen.patches) or [_Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])] * len(
+            states
+        )
+        for i, patch in zip(which, _cast(seen, bodies, states[moved]), strict=True):
+            patches[i] = patch
         return patches
-
-    def _add_pusher(
-        self, seen: _Seen, pose: Floats, depth: NDArray[np.float32], ids: NDArray[np.int16]
-    ) -> None:
-        assert self._pusher is not None
-        rotation = rotation_from_quaternion(pose[3:])
-        (block,) = seen.view.blocks([self._pusher], pose[None, :3], rotation[None])
-        block = block.within(seen.view.frame)
-        if block.empty:
-            return
-        rays = seen.rays[block.of]
-        found = self._pusher.depths(seen.view.origin, rays.reshape(-1, 3), pose[:3], rotation)
-        _compose(depth, ids, _Patch(block, found.reshape(rays.shape[:2])), PUSHER)
 
     def _colours(
         self, seen: _Seen, states: Floats, pusher: Array | None, ids: NDArray[np.int16]
@@ -192,10 +171,9 @@ class Renderer:
             body = self._pusher if identity == PUSHER else self.bodies[identity]
             pose = np.asarray(pusher if identity == PUSHER else states[identity], np.float64)
             assert body is not None
-            rotation = rotation_from_quaternion(pose[3:])
-            shown = ids == identity
-            hits = body.cast(seen.view.origin, seen.rays[shown], pose[:3], rotation)
-            rgb[shown] = body.colours(hits, rotation)
+            shown, pixels = seen.view.appearances([body], pose[None]), ids == identity
+            hits = body.cast(shown.starts[0], seen.rays[pixels], shown.rotations[0])
+            rgb[pixels] = body.colours(hits, shown.rotations[0])
         return rgb
 
     def _background(
@@ -215,6 +193,25 @@ class Renderer:
             depth[hit] = distance[hit]
             colour[hit] = shade
         return depth.astype(np.float32), colour.astype(np.uint8)
+
+
+def _nothing(seen: _Seen) -> _Patch:
+    return _Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])
+
+
+def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[_Patch]:
+    """Return what bodies at poses (N, 7) show in the frame."""
+    shown = seen.view.appearances(bodies, poses)
+    patches = []
+    for i, body in enumerate(bodies):
+        block = shown.blocks[i].within(seen.view.frame)
+        if block.empty:
+            patches.append(_nothing(seen))
+            continue
+        rays = seen.rays[block.of]
+        depth = body.depths(shown.starts[i], rays.reshape(-1, 3), shown.rotations[i])
+        patches.append(_Patch(block, depth.reshape(rays.shape[:2])))
+    return patches
 
 
 def _compose(

@@ -2,20 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
+from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.render.body import Body
-from mechsearch.types import Array, Floats
+from mechsearch.types import Floats
 
 _NEAREST = 0.01
 """Objects that come nearer to the camera's plane [m] may appear anywhere."""
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """A rectangle of pixels, which may reach beyond the frame; empty where an end is not after."""
 
     top: int
@@ -43,6 +44,21 @@ class Block:
         )
 
 
+@dataclass(frozen=True)
+class Appearances:
+    """What casting rays against N bodies needs.
+
+    Attributes:
+        blocks: Where each may appear, beyond the frame too.
+        starts: The camera in each body's frame (N, 3) [m].
+        rotations: Of the bodies (N, 3, 3).
+    """
+
+    blocks: list[Block]
+    starts: NDArray[np.float32]
+    rotations: NDArray[np.float32]
+
+
 class View:
     """Rays of a camera through the centres of its pixels."""
 
@@ -52,38 +68,35 @@ class View:
         self.frame = Block(0, camera.height, 0, camera.width)
         self.origin: Floats = camera.pose[:3, 3]
         self._axes = camera.pose[:3, :3]
+        self._focal = np.array([camera.fy, camera.fx])
+        self._principal = np.array([camera.cy, camera.cx])
 
     def rays(self, block: Block) -> NDArray[np.float32]:
         """Return the directions (h, w, 3) of a block's rays, as long as 1 m of depth."""
         camera = self.camera
         u = (np.arange(block.left, block.right) - camera.cx) / camera.fx
         v = (np.arange(block.top, block.bottom) - camera.cy) / camera.fy
-        axes = self._axes
-        rays = u[None, :, None] * axes[:, 0] + v[:, None, None] * axes[:, 1] + axes[:, 2]
-        return rays.astype(np.float32)
+        across, down, forward = self._axes.T
+        rays = v[:, None, None] * down + (u[:, None] * across + forward)
+        single: NDArray[np.float32] = rays.astype(np.float32)
+        return single
 
-    def blocks(self, bodies: Sequence[Body], positions: Array, rotations: Array) -> list[Block]:
-        """Return where each body's bounding box appears, beyond the frame too.
-
-        Args:
-            bodies: N objects.
-            positions: Of theirs (N, 3) [m].
-            rotations: Of theirs (N, 3, 3).
-        """
-        if not bodies:
-            return []
-        corners = np.stack([body.corners for body in bodies])
-        turned = np.matmul(corners, np.transpose(rotations, (0, 2, 1)))
-        local = (turned + (positions - self.origin)[:, None]) @ self._axes
-        z = local[..., 2]
-        behind = z.min(axis=1) < _NEAREST
-        z = np.maximum(z, _NEAREST)
-        camera = self.camera
-        u = camera.fx * local[..., 0] / z + camera.cx
-        v = camera.fy * local[..., 1] / z + camera.cy
-        low = np.floor(np.stack([v.min(axis=1), u.min(axis=1)], axis=1)).astype(int).tolist()
-        high = np.ceil(np.stack([v.max(axis=1), u.max(axis=1)], axis=1)).astype(int).tolist()
-        return [
-            self.frame if near else Block(top, bottom + 1, left, right + 1)
-            for (top, left), (bottom, right), near in zip(low, high, behind.tolist(), strict=True)
+    def appearances(self, bodies: Sequence[Body], poses: Floats) -> Appearances:
+        """Return where bodies at poses (N, 7) appear, by their bounding boxes."""
+        rotations = rotation_from_quaternion(poses[:, 3:])
+        offsets = self.origin - poses[:, :3]
+        starts = np.einsum("ni,nij->nj", offsets, rotations)
+        corners = np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
+        # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
+        local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)
+        z = local[..., 2:]
+        pixels = local[..., 1::-1] / np.maximum(z, _NEAREST) * self._focal + self._principal
+        low = np.floor(pixels.min(axis=1)).astype(np.intp).tolist()
+        high = np.ceil(pixels.max(axis=1)).astype(np.intp).tolist()
+        blocks = [
+            Block(top, bottom + 1, left, right + 1)
+            for (top, left), (bottom, right) in zip(low, high, strict=True)
         ]
+        for i in np.flatnonzero(z.min(axis=(1, 2)) < _NEAREST).tolist():
+            blocks[i] = self.frame
+        return Appearances(blocks, starts.astype(np.float32), rotations.astype(np.float32))

@@ -1,11 +1,11 @@
 """Occlusion: the share of an object's whole projection that other objects hide."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from mechsearch.camera import Camera
-from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.render.body import NO_HIT, Body
 from mechsearch.render.view import View
 from mechsearch.types import Array
@@ -27,14 +27,13 @@ def occlusion(
         target: Index of the object in question.
         density: Rays for each pixel, along each axis.
     """
-    states = np.asarray(poses, np.float64)
-    positions, rotations = states[:, :3], rotation_from_quaternion(states[:, 3:])
-    view = View(camera.resized(camera.height * density))
-    blocks = view.blocks(bodies, positions, rotations)
+    view = _dense(camera, density)
+    shown = view.appearances(bodies, np.asarray(poses, np.float64))
+    blocks = shown.blocks
     rays = view.rays(blocks[target])
 
     def cast(index: int, directions: Array) -> Array:
-        return bodies[index].depths(view.origin, directions, positions[index], rotations[index])
+        return bodies[index].depths(shown.starts[index], directions, shown.rotations[index])
 
     depth = cast(target, rays.reshape(-1, 3)).reshape(rays.shape[:2])
     seen = depth < NO_HIT
@@ -50,3 +49,8 @@ def occlusion(
             nearer = cast(i, rays[common.of][open_]) < depth[common.of][open_]
             open_[open_] = ~nearer
     return 1.0 - int(seen.sum()) / whole
+
+
+@lru_cache(maxsize=8)
+def _dense(camera: Camera, density: int) -> View:
+    return View(camera.resized(camera.height * density))

@@ -1,7 +1,9 @@
 """How far the pusher travels before it can touch anything."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -48,25 +50,24 @@ def free_travel(pusher: Pusher, config: PhysicsConfig) -> FreeTravel:
 class Outlines:
     """Bounding boxes of all convex parts of some objects, wherever they lie."""
 
-    def __init__(self, parts: list[tuple[Floats, ...]]) -> None:
+    def __init__(self, parts: Sequence[Sequence[Floats]]) -> None:
         """Take the convex parts, vertices (P, 3) [m], of every object."""
-        flat = [part for own in parts for part in own]
-        self._points = np.concatenate(flat) if flat else np.empty((0, 3))
-        sizes = [sum(len(part) for part in own) for own in parts]
-        self._object = np.repeat(np.arange(len(parts)), sizes)
-        self._starts = np.cumsum([0, *(len(part) for part in flat)])[:-1]
-        self._poses = np.empty(0)
+        self._points = [np.concatenate(own) for own in parts]
+        self._starts = [np.cumsum([0, *(len(part) for part in own[:-1])]) for own in parts]
+        ends = np.cumsum([0, *(len(own) for own in parts)])
+        self._rows = [slice(start, end) for start, end in pairwise(ends.tolist())]
+        self._low, self._high = np.zeros((2, ends[-1], 3))
+        self._poses = np.full((len(parts), 7), np.nan)
 
     def boxes(self, poses: Floats) -> tuple[Floats, Floats]:
-        """Return the lowest and highest corner (B, 3) [m] of every part, objects at poses (N, 7)."""
-        if not np.array_equal(poses, self._poses):
-            turned = np.matmul(
-                rotation_from_quaternion(poses[:, 3:])[self._object], self._points[:, :, None]
-            )[:, :, 0]
-            points = turned + poses[self._object, :3]
-            self._low = np.minimum.reduceat(points, self._starts, axis=0)
-            self._high = np.maximum.reduceat(points, self._starts, axis=0)
-            self._poses = poses.copy()
+        """Return the lowest and highest corners (B, 3) [m] of all parts, objects at (N, 7)."""
+        moved = (poses != self._poses).any(axis=1)
+        rotations = rotation_from_quaternion(poses[moved, 3:])
+        for i, rotation in zip(np.flatnonzero(moved).tolist(), rotations, strict=True):
+            points, rows = self._points[i] @ rotation.T + poses[i, :3], self._rows[i]
+            np.minimum.reduceat(points, self._starts[i], axis=0, out=self._low[rows])
+            np.maximum.reduceat(points, self._starts[i], axis=0, out=self._high[rows])
+        self._poses = poses.copy()
         return self._low, self._high
 
 

@@ -188,20 +188,21 @@ class World:
 
     def failure(self) -> str | None:
         """Return the name of a simulator failure, or None while physics can be trusted."""
-        data = self._data
+        data, config = self._data, self.config
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             return "not a number"
-        if data.warning.number[: int(mujoco.mjtWarning.mjNWARNING)].any():
+        if data.warning.number.any():
             return "solver warning"
         poses, speeds = self.poses, np.linalg.norm(self.velocities[:, :3], axis=1)
-        on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
-        if (on_table & (poses[:, 2] < -0.01)).any():
-            return "tunnelling"
-        if (on_table & (speeds > self.config.explosion_speed)).any():
-            return "explosion"
-        if self.penetrations().max(initial=0.0) > self.config.deep_penetration:
-            return "deep penetration"
-        return None
+        sunk, fast = poses[:, 2] < -0.01, speeds > config.explosion_speed
+        if (sunk | fast).any():
+            on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
+            if (on_table & sunk).any():
+                return "tunnelling"
+            if (on_table & fast).any():
+                return "explosion"
+        overlap = -float(data.contact.dist[: data.ncon].min(initial=0.0))
+        return "deep penetration" if overlap > config.deep_penetration else None
 
     def snapshot(self) -> Floats:
         """Return all that the next step depends on; `restore` continues bit by bit."""
