@@ -59,7 +59,7 @@ class PeerWorld:
         )
         self._turns = [_principal_quaternion(model) for model in models]
         self.bodies = [self._add_object(model, rigid, visual) for model in models]
-        self.table = self._add_table(visual)
+        self._add_table()
         self.pusher = self._add_pusher(self.config.pusher, visual) if pusher else None
         physics = self.config.physics
         self._travel = round(physics.action_steps * physics.time_step * RATE)
@@ -189,19 +189,18 @@ class PeerWorld:
         )  # fmt: skip
         return shape
 
-    def _add_table(self, visual: bool) -> int:
+    def _add_table(self) -> None:
         half = self.config.workspace.table_half
         extents = [half, half, 0.1]
         shape = self._call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=extents)
-        seen = -1
-        if visual:
-            seen = self._call("createVisualShape", pybullet.GEOM_BOX, halfExtents=extents)
-        table: int = self._call("createMultiBody", 0, shape, seen, [0, 0, -0.1])
+        table: int = self._call("createMultiBody", 0, shape, -1, [0, 0, -0.1])
         floor = self._call("createCollisionShape", pybullet.GEOM_PLANE)
-        self._call("createMultiBody", 0, floor, -1, [0, 0, self.config.workspace.floor])
+        ground = self._call("createMultiBody", 0, floor, -1, [0, 0, self.config.workspace.floor])
+        for body in (table, ground):
+            # Bodies without a visual shape show their collision shape, unless it is transparent.
+            self._call("changeVisualShape", body, -1, rgbaColor=[1, 1, 1, 0])
         friction = TABLE_FRICTION / OBJECT_FRICTION**0.5
         self._call("changeDynamics", table, -1, lateralFriction=friction, restitution=0.0)
-        return table
 
     def _add_pusher(self, pusher: Pusher, visual: bool) -> int:
         """Add a capsule on three sliding joints; the last link carries it, origin at the tip."""

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
 
@@ -38,21 +38,28 @@ class Stopwatch:
     calls: int = 0
     steps: int = 0
 
-    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the function, timed."""
+    def timed(self, function: Callable[..., Any], steps: bool = False) -> Callable[..., Any]:
+        """Return the function, timed; `steps` says whether it takes a number of physics steps."""
 
         def call(*values: Any, **options: Any) -> Any:
             began = time.perf_counter()
             result = function(*values, **options)
             self.seconds += time.perf_counter() - began
             self.calls += 1
-            self.steps += values[2] if len(values) > 2 else options.get("nstep", 1)
+            if steps:
+                self.steps += values[2] if len(values) > 2 else options.get("nstep", 1)
             return result
 
         return call
 
+    def taken(self) -> "Stopwatch":
+        """Return what was added up, and begin again."""
+        taken = replace(self)
+        self.seconds, self.calls, self.steps = 0.0, 0, 0
+        return taken
 
-@dataclass
+
+@dataclass(frozen=True)
 class ActionTimes:
     """One action, split.
 
@@ -63,8 +70,8 @@ class ActionTimes:
     """
 
     total: float
-    physics: Stopwatch = field(default_factory=Stopwatch)
-    rays: Stopwatch = field(default_factory=Stopwatch)
+    physics: Stopwatch
+    rays: Stopwatch
 
 
 def measure(settings: Settings) -> Iterator[Figure]:
@@ -100,11 +107,11 @@ def split(workload: Workload, episode: Episode) -> list[ActionTimes]:
         env.reset(options={"heap": 0, "fixed_start": True})
         rows = []
         for action in episode.actions:
-            physics.__init__(), rays.__init__()  # type: ignore[misc]
+            physics.taken(), rays.taken()
             began = time.perf_counter()
             env.step(action)
             total = time.perf_counter() - began
-            rows.append(ActionTimes(total, Stopwatch(**vars(physics)), Stopwatch(**vars(rays))))
+            rows.append(ActionTimes(total, physics.taken(), rays.taken()))
     return rows
 
 
@@ -117,7 +124,7 @@ def _timed_engines(physics: Stopwatch, rays: Stopwatch) -> Iterator[None]:
 
     swaps: dict[Any, Any] = {EmbreeScene: TimedScene}
     swaps |= {
-        getattr(mujoco, name): physics.timed(getattr(mujoco, name))
+        getattr(mujoco, name): physics.timed(getattr(mujoco, name), steps=True)
         for name in _PHYSICS
         if hasattr(mujoco, name)
     }
