@@ -26,7 +26,7 @@ _SIDES = (32, 64, 128, 256)
 def measure(settings: Settings) -> Iterator[Figure]:
     """Time heaps of 5 to 40 objects, and images of 32 to 256 pixels."""
     with tempfile.TemporaryDirectory() as folder:
-        number = 6 if settings.full else 3
+        number = 6 if settings.full else 2
         small = [heap for count in (5, 10, 15) for heap in settings.workload.heaps(count, number)]
         large = _large_heaps(settings, number, Path(folder) / "large.parquet")
         by_count: dict[int, list[Heap]] = {}
