@@ -68,7 +68,8 @@ def main() -> None:
         raise SystemExit(f"unknown {unknown[0]!r}; choose among {', '.join(MEASUREMENTS)}")
     settings = Settings(find_workload(), options.heaps, options.full)
     where = machine.describe()
-    settings.say(f"{settings.workload.title} on {where}")
+    usable = len(settings.workload.heap_set.heaps)
+    settings.say(f"{usable} {settings.workload.title} on {where}")
     rows: Sequence[Row] = ()
     for name in options.names or MEASUREMENTS:
         settings.say(f"measuring {name}")

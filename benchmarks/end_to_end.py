@@ -71,10 +71,8 @@ def measure_training(settings: Settings) -> Iterator[Figure]:
 def _time_training(settings: Settings, rate: str) -> float:
     workload = settings.workload
     with tempfile.TemporaryDirectory() as folder:
-        heaps = workload.path
-        if heaps is None:
-            heaps = Path(folder) / "heaps.parquet"
-            workload.written(workload.heap_set.heaps, heaps)
+        heaps = Path(folder) / "heaps.parquet"
+        workload.written(workload.heap_set.heaps, heaps)
         command = [
             sys.executable, "-m", "mechsearch", "train", "method", "--heaps", str(heaps),
             "--objects", workload.objects, "--out", f"{folder}/run", "--actions", "8000",

@@ -3,6 +3,7 @@
 import multiprocessing
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing.synchronize import Barrier
 from typing import Any
 
@@ -40,7 +41,7 @@ def throughput(workload: Workload, workers: int, seconds: float) -> float:
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(workers), context.SimpleQueue()
     processes = [
-        context.Process(target=_work, args=(workload, seed, seconds, barrier, answers))
+        context.Process(target=_work, args=(replace(workload), seed, seconds, barrier, answers))
         for seed in range(workers)
     ]
     for process in processes:

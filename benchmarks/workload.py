@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,9 +12,9 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.geometry import cap_length
-from mechsearch.heaps.dataset import HeapSet, check_objects, load, save
+from mechsearch.heaps.dataset import HeapSet, load, save
 from mechsearch.heaps.heap import Heap
-from mechsearch.objects.catalog import load_object_set
+from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.teachers import make_teachers
 from mechsearch.types import ACTION_LENGTH, Array, Floats
@@ -70,15 +70,19 @@ class Workload:
 
     @cached_property
     def heap_set(self) -> HeapSet:
-        """The heaps."""
-        return load(self.path) if self.path else embedded_heaps("single")
+        """The heaps whose objects are the same here as where they were made."""
+        heap_set = load(self.path) if self.path else embedded_heaps("single")
+        recorded, present = heap_set.manifest["object_hashes"], set_hashes(self.object_set)
+        same = {name for name, digest in recorded.items() if present.get(name) == digest}
+        heaps = tuple(heap for heap in heap_set.heaps if same.issuperset(heap.objects))
+        if not heaps:
+            raise SystemExit(f"no heap of {self.path} has the objects of {self.objects}")
+        return replace(heap_set, heaps=heaps)
 
     @cached_property
     def object_set(self) -> ObjectSet:
         """The objects."""
-        objects = load_object_set(self.objects)
-        check_objects(self.heap_set, objects)
-        return objects
+        return load_object_set(self.objects)
 
     @property
     def title(self) -> str:
