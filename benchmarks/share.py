@@ -19,7 +19,6 @@ from embreex.rtcore_scene import EmbreeScene
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
 from benchmarks.workload import Episode, Workload
-from mechsearch.render.renderer import body_of
 
 _PHYSICS = ("mj_step", "mj_step1", "mj_step2")
 
@@ -129,12 +128,12 @@ def _timed_engines(physics: Stopwatch, rays: Stopwatch) -> Iterator[None]:
         if hasattr(mujoco, name)
     }
     _swap(swaps)
-    body_of.cache_clear()
+    _forget_scenes()
     try:
         yield
     finally:
         _swap({new: old for old, new in swaps.items()})
-        body_of.cache_clear()
+        _forget_scenes()
 
 
 def _swap(swaps: Mapping[Any, Any]) -> None:
@@ -148,6 +147,13 @@ def _swap_in(module: ModuleType, swaps: Mapping[Any, Any]) -> None:
         for old, new in swaps.items():
             if value is old:
                 setattr(module, name, new)
+
+
+def _forget_scenes() -> None:
+    """Have every object's scene built anew."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("mechsearch.render.") and hasattr(module, "body_of"):
+            module.body_of.cache_clear()
 
 
 def _proxy_cost(calls: int = 20_000) -> tuple[float, float]:
