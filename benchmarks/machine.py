@@ -3,7 +3,6 @@
 import os
 import platform
 import resource
-import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -27,16 +26,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def peak_memory() -> float:
-    """Return the most memory that this process has held [MB]."""
+def memory() -> float:
+    """Return the memory that this process holds now [MB], or on macOS the most it has held."""
     status = Path("/proc/self/status")
     if status.is_file():
-        # A new process inherits its parent's peak in `getrusage`, and not here.
-        line = next(row for row in status.read_text().splitlines() if row.startswith("VmHWM"))
+        line = next(row for row in status.read_text().splitlines() if row.startswith("VmRSS"))
         return float(line.split()[1]) / 1e3
-    # Kilobytes on most systems, bytes on macOS.
-    unit = 1e6 if sys.platform == "darwin" else 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def _processor() -> str:

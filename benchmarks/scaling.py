@@ -1,6 +1,6 @@
 """`objects-N-...`, `side-N-...`: time and memory as heaps and images grow.
 
-Every size is measured in a process of its own, whose peak of memory is its own.
+Every size is measured in a process of its own, where no memory of another is used again.
 """
 
 import multiprocessing
@@ -26,8 +26,8 @@ _SIDES = (32, 64, 128, 256)
 def measure(settings: Settings) -> Iterator[Figure]:
     """Time heaps of 5 to 40 objects, and images of 32 to 256 pixels."""
     with tempfile.TemporaryDirectory() as folder:
-        number = 6 if settings.full else 2
-        small = [heap for count in (5, 10, 15) for heap in settings.workload.heaps(count, number)]
+        number = 4 if settings.full else 1
+        small = [heap for count in (5, 10, 15) for heap in settings.workload.heaps(count, 4)]
         large = _large_heaps(settings, number, Path(folder) / "large.parquet")
         by_count: dict[int, list[Heap]] = {}
         for heap in [*small, *large]:
@@ -63,14 +63,24 @@ def _sized(
     ours, theirs, memory = answers.get()
     settings.say(f"{name}: {ours:.1f} ms, the peer {theirs:.1f} ms, {memory:.0f} MB")
     yield Figure(f"{name}-time", ours, "ms", PEER, theirs)
-    yield Figure(f"{name}-memory", memory, "MB", note="the whole process, objects included")
+    yield Figure(f"{name}-memory", memory, "MB", note="an environment, without its object set")
 
 
 def _work(workload: Workload, side: int, answers: Any) -> None:
     """Answer with the time of an action, ours and the peer's [ms], and our memory [MB]."""
     heaps = list(workload.heap_set.heaps)
+    memory = _env_memory(workload, heaps[0], side)
     episodes = workload.episodes(heaps)
     ours = [1e3 * time_ours(workload, episode, side).mean() for episode in episodes]
-    memory = machine.peak_memory()
     theirs = [1e3 * time_peer(workload, episode, side, rigid=False).mean() for episode in episodes]
     answers.put((float(np.median(ours)), float(np.median(theirs)), memory))
+
+
+def _env_memory(workload: Workload, heap: Heap, side: int) -> float:
+    """Return the memory [MB] of an environment in the middle of an episode."""
+    before = machine.memory()
+    env = workload.env([heap], side)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros(3))
+    return machine.memory() - before

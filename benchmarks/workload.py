@@ -119,7 +119,8 @@ class Workload:
 
     def written(self, heaps: Sequence[Heap], path: Path) -> "Workload":
         """Return a workload of other heaps of the same objects, written to a file."""
-        save(path, heaps, self.heap_set.manifest)
+        hashes = set_hashes(self.object_set)
+        save(path, heaps, {**self.heap_set.manifest, "object_hashes": hashes})
         return Workload(path, self.objects)
 
 
