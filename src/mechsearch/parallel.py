@@ -93,12 +93,12 @@ def map_in_order(
             busy = [worker for worker in crew if worker.asked]
             if not busy:
                 return
-            for worker, number, value in replies(busy):
+            for worker, asked, value in replies(busy):
                 if not worker.alive:
-                    ledger.put_back(asked.key for asked in worker.asked)
+                    ledger.put_back(waiting.key for waiting in worker.asked)
                     crew[crew.index(worker)] = worker.replace()
-                if number is not None:
-                    ledger.settle(number, value)
+                if asked is not None:
+                    ledger.settle(asked, value)
     finally:
         for worker in crew:
             worker.stop()
@@ -146,11 +146,11 @@ class Ledger(Generic[Input, Result]):
             self._items[taken[0]] = taken[1]
         return taken
 
-    def put_back(self, numbers: Iterable[Any]) -> None:
+    def put_back(self, numbers: Iterable[int]) -> None:
         """Have inputs done by another worker; they are not at fault."""
         self._again.extend(numbers)
 
-    def settle(self, number: Any, value: Result | Failure) -> None:
+    def settle(self, number: int, value: Result | Failure) -> None:
         """Keep a result, or have what failed done again, or replace what failed too often.
 
         Raises:

@@ -7,7 +7,8 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
@@ -45,7 +46,7 @@ class Failure:
 class Asked(NamedTuple):
     """A request that is not yet answered: what it is known by, and its time limit [s]."""
 
-    key: Hashable
+    key: int
     limit: float | None
 
 
@@ -53,7 +54,7 @@ class Reply(NamedTuple):
     """What became of a request; `key` is None where a worker failed while nobody's turn it was."""
 
     worker: "Worker"
-    key: Hashable | None
+    key: int | None
     value: Any
 
 
@@ -96,7 +97,7 @@ class Worker:
         limit = self.asked[0].limit if self.asked else None
         return float("inf") if limit is None else self._since + limit
 
-    def ask(self, key: Hashable, request: Any, limit: float | None = None) -> None:
+    def ask(self, key: int, request: Any, limit: float | None = None) -> None:
         """Send a request.
 
         Args:
@@ -108,10 +109,8 @@ class Worker:
             self._since = time.monotonic()
         self.asked.append(Asked(key, limit))
         data = ForkingPickler.dumps(request)
-        try:
+        with suppress(OSError):  # If it has died since, the end of its pipe will say so.
             self.pipe.send_bytes(data)
-        except OSError:
-            pass  # It died since; the end of its pipe will say so.
 
     def reply(self) -> Reply | None:
         """Return what there is to tell after `wait`; None for a worker that has just started."""

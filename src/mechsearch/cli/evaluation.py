@@ -93,6 +93,9 @@ class Evaluate(Command):
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]
         say("\n".join(map(tables.to_text, shown)))
+        for name, evaluation in evaluations.items():
+            for lost in evaluation.header.get("quarantined", ()):
+                say(f"{name}: heap {lost['heap']} is left out, it failed twice: {lost['reason']}")
         say(tables.NOTE)
 
 
