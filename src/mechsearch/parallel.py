@@ -1,5 +1,6 @@
 """Map a function over inputs in worker processes, results in the order of the inputs."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -10,6 +11,11 @@ from mechsearch.workers import Failure, Worker, replies
 
 Input = TypeVar("Input")
 Result = TypeVar("Result")
+
+PROCESSORS = (
+    len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+)
+"""Processors that this process may use."""
 
 TRIES = 2
 """An input that fails on so many workers is not tried again."""

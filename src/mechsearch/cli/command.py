@@ -1,6 +1,5 @@
 """What every command is: options that parse themselves, and a run."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,12 +12,12 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.parallel import Progress
+from mechsearch.parallel import PROCESSORS, Progress
 from mechsearch.train.progress import progress_bars
 from mechsearch.types import MechSearchError
 
-WORKERS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-"""Processors that this process may use."""
+WORKERS = PROCESSORS
+"""Processes, unless a command says otherwise."""
 
 
 class Command:
