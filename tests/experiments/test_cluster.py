@@ -18,11 +18,12 @@ if importlib.util.find_spec("ray") is None:
 
 import ray
 
+from mechsearch.cli import main
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.experiments.cluster import connected, ray_map
 from mechsearch.experiments.sweep import run_all
-from mechsearch.heaps.dataset import save
+from mechsearch.heaps.dataset import load, save
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.types import MechSearchError
 
@@ -132,6 +133,17 @@ def test_episodes_are_the_serial_ones(tmp_path):
     for left, right in zip(ours.episodes, serial.episodes, strict=True):
         np.testing.assert_array_equal(left.poses, right.poses)
         np.testing.assert_array_equal(left.rewards, right.rewards)
+
+
+def test_the_commands_take_ray_and_relative_paths(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["--heaps", "4", "--counts", "4", "--seed", "3"]
+    main(["heaps", "generate", "--out", "ray.parquet", *words, "--ray"])
+    main(["heaps", "generate", "--out", "one.parquet", *words, "--workers", "1"])
+    assert load(Path("ray.parquet")).hash == load(Path("one.parquet")).hash
+    main(["evaluate", "idle", "--heaps", "ray.parquet", "--out", "scores", "--ray", "--brief"])
+    assert "left out" not in capsys.readouterr().out
+    assert Path("scores/idle.npz").exists()
 
 
 def test_one_failing_run_does_not_stop_the_others(tmp_path):

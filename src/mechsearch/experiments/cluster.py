@@ -1,6 +1,7 @@
 """The same map over the machines of a Ray cluster; needs the `ray` extra."""
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ SAME_EVERYWHERE = ("mechsearch", "mujoco-core", "numpy", "ray")
 
 @contextmanager
 def connected(address: str = "", cpus: int | None = None) -> Iterator[int]:
-    """Connect to a cluster, and yield how many processors it has.
+    """Connect to a cluster, unless this process already is; yield how many processors it has.
 
     Args:
         address: Of the head node, such as "auto" or "ray://host:10001"; empty starts a cluster of
@@ -31,6 +32,9 @@ def connected(address: str = "", cpus: int | None = None) -> Iterator[int]:
     Raises:
         MechSearchError: If there is no cluster at the address.
     """
+    if ray.is_initialized():
+        yield _processors()
+        return
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     try:
@@ -42,10 +46,14 @@ def connected(address: str = "", cpus: int | None = None) -> Iterator[int]:
         place = address or "this machine"
         raise MechSearchError(f"no Ray cluster at {place}: {error}") from None
     try:
-        resources: Callable[[], dict[str, float]] = ray.cluster_resources
-        yield max(1, int(resources().get("CPU", 1)))
+        yield _processors()
     finally:
         ray.shutdown()
+
+
+def _processors() -> int:
+    resources: Callable[[], dict[str, float]] = ray.cluster_resources
+    return max(1, int(resources().get("CPU", 1)))
 
 
 def ray_map(
@@ -98,8 +106,12 @@ def ray_map(
 class Hand:
     """Does the work, on whichever machine."""
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self, function: Callable[[Any], Any], folder: str) -> None:
+        """Work in the folder of whoever asks, where there is one, so that relative paths hold."""
         self._function = function
+        if os.path.isdir(folder):
+            os.chdir(folder)
+            sys.path.append(folder)
 
     def versions(self) -> dict[str, str]:
         """Return what is installed there."""
@@ -134,7 +146,7 @@ class _Seat:
         failed = 0 if before is None or before.started else before.failed_starts + 1
         if failed == STARTS:
             raise MechSearchError(f"actors do not start on the Ray cluster, tried {STARTS} times")
-        actor = _Actor.remote(function)
+        actor = _Actor.remote(function, os.getcwd())
         deadline = time.monotonic() + START_LIMIT
         return cls(actor, actor.versions.remote(), deadline, failed_starts=failed)
 
