@@ -6,7 +6,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check unit test-all lock clean
+.PHONY: demo test check unit test-all bench bench-full lock clean
 
 demo: $(READY)
 	$(BIN)/mechsearch demo --out demo
@@ -14,8 +14,8 @@ demo: $(READY)
 test: check unit
 
 check: $(READY)
-	$(BIN)/ruff format --check src tests examples
-	$(BIN)/ruff check src tests examples
+	$(BIN)/ruff format --check src tests examples benchmarks
+	$(BIN)/ruff check src tests examples benchmarks
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
@@ -30,6 +30,17 @@ test-all:
 			$(MAKE) --no-print-directory unit PYTHON=python$$version VENV=.venv-$$version || exit 1; \
 		fi; \
 	done
+
+# About ten minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
+bench: $(VENV)/.bench-ready
+	$(BIN)/python -m benchmarks
+
+bench-full: $(VENV)/.bench-ready
+	$(BIN)/python -m benchmarks --full
+
+$(VENV)/.bench-ready: $(READY)
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --group bench
+	touch $@
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("mechsearch needs Python 3.11 or newer, not " + sys.version.split()[0]) if sys.version_info < (3, 11) else 0'

@@ -9,13 +9,17 @@ from mechsearch.types import Floats
 def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
     """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
     q = np.asarray(quaternion, dtype=np.float64)
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    double = 2.0 * q[..., 1:, None] * q[..., None, 1:]
+    turn = 2.0 * q[..., :1] * q[..., 1:]
+    xx, yy, zz = double[..., 0, 0], double[..., 1, 1], double[..., 2, 2]
+    matrix = double.copy()
+    matrix[..., 0, 0] = 1.0 - (yy + zz)
+    matrix[..., 1, 1] = 1.0 - (xx + zz)
+    matrix[..., 2, 2] = 1.0 - (xx + yy)
+    for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        matrix[..., row, column] += turn[..., axis]
+        matrix[..., column, row] -= turn[..., axis]
+    return matrix
 
 
 def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:

@@ -10,8 +10,9 @@ from mechsearch.objects.household import household
 from mechsearch.objects.model import ObjectSet
 from mechsearch.objects.paint import band, layers
 from mechsearch.objects.primitives import box
+from mechsearch.render.body import Body
 from mechsearch.render.contact_sheet import contact_sheet, draw_sheet, portrait
-from mechsearch.render.renderer import Body, Renderer
+from mechsearch.render.renderer import Renderer
 from mechsearch.types import MechSearchError
 
 MODELS = household().models
@@ -42,7 +43,7 @@ def test_no_face_seen_from_outside_is_inside_out(name):
     body = Body(model)
     for eye in np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.6, 0.6]]]):
         directions = (aims - eye).astype(np.float32)
-        hits = body.cast(eye, directions, np.array([0, 0, 0, *UPRIGHT]), np.arange(300))
+        hits = body.cast(eye, directions, np.eye(3, dtype=np.float32))
         met = hits.triangle >= 0
         towards = np.einsum("nd,nd->n", normals[hits.triangle[met]], directions[met])
         assert met.sum() > 290

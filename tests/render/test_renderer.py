@@ -35,7 +35,11 @@ def test_rays_agree_with_the_engines_own(boxes, view):
     # Rays that graze an edge may fall on either side of it.
     assert same.mean() > 0.999
     assert (ids >= 0).sum() > 300
-    np.testing.assert_allclose(frame.depth.ravel()[same], distance[same], atol=2e-5)
+    # The engine's table has no edge and no floor below.
+    on_table = camera.back_project(frame.depth)[..., 2].ravel() > -0.01
+    compared = same & on_table
+    assert compared.mean() > 0.75
+    np.testing.assert_allclose(frame.depth.ravel()[compared], distance[compared], atol=2e-5)
 
 
 def test_depth_is_along_the_optical_axis(boxes):

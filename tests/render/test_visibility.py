@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mechsearch.camera import preset
-from mechsearch.render.renderer import body_of
+from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 
 CAMERA = preset("overhead")

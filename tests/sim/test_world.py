@@ -3,9 +3,10 @@ import pytest
 import trimesh
 
 from mechsearch.sim.pusher import Pusher, pusher_model
-from mechsearch.sim.settle import REST_LIMIT, drift, settle
+from mechsearch.sim.scene import PhysicsConfig, Wall
+from mechsearch.sim.settle import AWAKE, REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import PhysicsConfig, Wall, World
+from mechsearch.sim.world import World
 
 REST = [0, 0, 0.03, 1, 0, 0, 0]
 
@@ -33,7 +34,7 @@ def test_an_unsupported_cube_is_not_at_rest(cube):
 
 
 def test_settling_reports_whether_everything_stopped(cube):
-    world = World(cube)
+    world = World(cube, config=AWAKE)
     world.reset(np.array([[0, 0, 0.1, 1, 0, 0, 0]]))
     assert not settle(world, seconds=0.25, speed=1e-9)
     assert settle(world)

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -17,8 +17,9 @@ from mechsearch.observe.observation import Observer, Scene
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.render.visibility import occlusion
 from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import PhysicsConfig, World
+from mechsearch.sim.world import World
 from mechsearch.types import (
     ACTION_LENGTH,
     ACTOR_KEYS,
@@ -294,7 +295,9 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         """Take the objects' new poses; those that left the table stay where they left it."""
         poses = self._world.poses
         poses[~self._present] = self._poses[~self._present]
-        gone = np.array([self.config.workspace.off_table(pose) for pose in poses])
+        gone = self._present & self.config.workspace.off_table(poses)
+        for index in np.flatnonzero(gone):
+            self._world.remove(int(index))
         self._present = self._present & ~gone
         self._poses = poses
 
@@ -350,7 +353,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         failure: str | None,
     ) -> dict[str, Any]:
         return {
-            "reward_terms": asdict(reward),
+            "reward_terms": dict(vars(reward)),
             "occlusion": self._occlusion,
             "end": end,
             "failure": failure,

@@ -4,7 +4,7 @@ The paper prints the two movement terms without a sign and calls them penalties:
 subtracted here.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class RewardTerms:
     @property
     def total(self) -> float:
         """The reward."""
-        return float(sum(asdict(self).values()))
+        return float(sum(vars(self).values()))
 
 
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -17,7 +17,7 @@ from mechsearch.heaps.heap import Heap
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectSet
 from mechsearch.parallel import Progress, map_in_order, silent
-from mechsearch.render.renderer import body_of
+from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.runs import write_whole
 from mechsearch.sim.settle import REST_LIMIT, drift

@@ -20,12 +20,13 @@ from mechsearch.heaps.quota import Drop, Quota, drops_until_full
 from mechsearch.objects.catalog import set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
-from mechsearch.render.renderer import body_of
+from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.runs import append_line, read_json, read_lines, write_json, write_whole
-from mechsearch.sim.settle import REST_LIMIT, drift, settle
+from mechsearch.sim.scene import Wall
+from mechsearch.sim.settle import AWAKE, REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import ENGINE_VERSION, Wall, World
+from mechsearch.sim.world import ENGINE_VERSION, World
 from mechsearch.types import Floats, MechSearchError
 from mechsearch.workers import Failure
 
@@ -171,10 +172,10 @@ def attempt(config: GenerateConfig, objects: ObjectSet, count: int, number: int)
     chosen = rng.choice(len(objects.models), count * len(walls), replace=False)
     names = tuple(list(objects.models)[i] for i in chosen)
     models = [objects.models[name] for name in names]
-    world = World(models, walls=walls if config.drop == "wall" else ())
+    world = World(models, walls=walls if config.drop == "wall" else (), config=AWAKE)
     poses = _drop(world, models, walls, config, rng)
     workspace = Workspace()
-    if poses is None or any(workspace.off_table(pose) for pose in poses):
+    if poses is None or workspace.off_table(poses).any():
         return None
     if drift(models, poses) > REST_LIMIT:
         return None

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from mechsearch.objects.convex import ConvexParts, convex_parts, single_hull
 from mechsearch.objects.hashing import content_hash
 from mechsearch.objects.hull import MassProperties, as_mesh, mass_properties
+from mechsearch.objects.known_parts import known_parts
 from mechsearch.objects.limits import why_wrong_mass, why_wrong_shape, why_wrong_size
 from mechsearch.objects.mesh_file import joined, read_pieces
 from mechsearch.objects.model import ObjectModel
 from mechsearch.objects.texels import bake_texels
 from mechsearch.types import Floats, MechSearchError
 
-VERSION = 1
+VERSION = 2
 """Raised with every change of the results of preparation, so that old cache files are not used."""
 
 MOST_FACES = 1500
@@ -84,7 +85,8 @@ def prepare(source: Source) -> Prepared:
         convex = (
             whole
             if wrong_size
-            else convex_parts(mesh, trimesh.Trimesh(vertices, faces, process=False))
+            else known_parts(source.mesh)
+            or convex_parts(mesh, trimesh.Trimesh(vertices, faces, process=False))
         )
     except (MechSearchError, ValueError, IndexError) as error:
         raise MechSearchError(f"cannot prepare {source.name} from {source.mesh}: {error}") from None

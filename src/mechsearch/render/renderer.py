@@ -1,29 +1,25 @@
-"""Ray casting with Embree: one static scene for each object, built once.
+"""Renders heaps by casting rays with Embree against one static scene for each object.
 
-The rays that may meet an object are moved into its frame and cast against it alone. The nearest
-hit over all objects gives depth and instance ids, and each object's own hits are its amodal mask.
+The nearest hit over all objects gives depth and instance ids, and each object's own hits are its
+amodal mask. What an object shows is kept until it moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.objects.model import ObjectModel
+from mechsearch.render.body import NO_HIT, Body, body_of
+from mechsearch.render.view import Block, View
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
 PUSHER = -2
-_NO_HIT = 1e30
 _TABLE_COLOUR = np.array([196, 186, 170], np.float64)
 _FLOOR_COLOUR = np.array([90, 92, 96], np.float64)
-_LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
 
 
 @dataclass(frozen=True)
@@ -48,74 +44,34 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Hits:
-    """First hits of a bundle of rays on one object.
+class _Patch:
+    """What one body shows: distances (h, w) in a block of pixels."""
+
+    block: Block
+    depth: NDArray[np.float32]
+
+
+@dataclass
+class _Seen:
+    """What one camera saw last, without pusher and colour.
 
     Attributes:
-        index: Which of the flattened rays may meet the object (K,).
-        depth: Distance (K,) in units of each ray's direction; above 1e30 where it misses.
-        triangle: Face index (K,); -1 where it misses.
-        u: Weight of the face's second vertex (K,).
-        v: Weight of the face's third vertex (K,).
+        view: The camera's rays.
+        rays: Of the whole frame (H, W, 3).
+        empty: Depth (H, W) of table and floor.
+        colour: Likewise (H, W, 3).
+        poses: Of the objects (N, 7) in `frame`.
+        patches: Of the objects in `frame`.
+        frame: Its depth is infinite where nothing is.
     """
 
-    index: NDArray[np.intp]
-    depth: NDArray[np.float32]
-    triangle: NDArray[np.int32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-
-
-class Body:
-    """One object's static scene, with what its colours need."""
-
-    def __init__(self, model: ObjectModel) -> None:
-        """Build the scene of a model's visual mesh."""
-        corners = model.vertices[model.faces]
-        self._scene = EmbreeScene()
-        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
-        self.radius = model.radius
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        self._normals = normals / np.maximum(lengths, 1e-18)
-        self._texels = model.texels
-        self._rows = int((np.sqrt(8 * model.texels.shape[1] + 1) - 1) / 2)
-
-    def depths(self, origin: Floats, directions: Array, pose: Floats) -> NDArray[np.float32]:
-        """Return the distance (K,) along rays (K, 3) from one origin (3,), in the world frame."""
-        origins, local = _moved_into(pose, origin, directions)
-        return np.asarray(self._scene.run(origins, local, query="DISTANCE"), np.float32)
-
-    def cast(self, origin: Floats, directions: Array, pose: Floats, index: Array) -> Hits:
-        """Return the first hits of rays (K, 3) from one origin (3,), in the world frame."""
-        origins, local = _moved_into(pose, origin, directions)
-        hit = self._scene.run(origins, local, output=1)
-        return Hits(index, hit["tfar"], hit["primID"], hit["u"], hit["v"])
-
-    def colours(self, hits: Hits, pose: Floats) -> NDArray[np.uint8]:
-        """Return the shaded colour (K, 3) of hits that all met the object."""
-        n = self._rows
-        i = np.minimum((hits.u * n).astype(np.intp), n - 1)
-        j = np.clip((hits.v * n).astype(np.intp), 0, n - 1 - i)
-        base = self._texels[hits.triangle, i * n - i * (i - 1) // 2 + j]
-        normals = self._normals[hits.triangle] @ rotation_from_quaternion(pose[3:]).T
-        shade = 0.55 + 0.45 * np.abs(normals @ _LIGHT)
-        return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
-
-
-@cache
-def body_of(model: ObjectModel) -> Body:
-    """Return a model's scene, built once in each process."""
-    return Body(model)
-
-
-def _moved_into(pose: Floats, origin: Floats, directions: Array) -> tuple[Array, Array]:
-    rotation = rotation_from_quaternion(pose[3:])
-    local = np.ascontiguousarray(directions @ rotation.astype(np.float32))
-    start = ((origin - pose[:3]) @ rotation).astype(np.float32)
-    origins = np.empty_like(local)
-    origins[:] = start
-    return origins, local
+    view: View
+    rays: NDArray[np.float32]
+    empty: NDArray[np.float32]
+    colour: NDArray[np.uint8]
+    poses: Array = field(default_factory=lambda: np.empty(0))
+    patches: list[_Patch] = field(default_factory=list)
+    frame: Frame | None = None
 
 
 class Renderer:
@@ -140,7 +96,7 @@ class Renderer:
         self._pusher = body_of(pusher) if pusher is not None else None
         self._table_half = table_half
         self._floor = floor
-        self._rays: dict[Camera, tuple[Floats, NDArray[np.float32], Array, Array]] = {}
+        self._seen: dict[Camera, _Seen] = {}
 
     def frame(
         self, camera: Camera, poses: Array, pusher: Array | None = None, colour: bool = False
@@ -161,93 +117,108 @@ class Renderer:
             raise MechSearchError(
                 f"poses are {states.shape}; expected ({len(self.bodies)}, 7) for this heap"
             )
-        origin, directions, background, table_colour = self._view(camera)
-        depth = background.copy()
-        ids = np.full(depth.shape, BACKGROUND, np.int16)
-        amodal = np.zeros((len(self.bodies), depth.size), np.bool_)
-        rgb = table_colour.copy() if colour else None
-        entries = [(i, body, states[i]) for i, body in enumerate(self.bodies)]
+        seen = self._looking(camera)
+        heap = self._heap(seen, states)
+        depth, ids = heap.depth.copy(), heap.ids.copy()
         if self._pusher is not None and pusher is not None:
-            entries.append((PUSHER, self._pusher, np.asarray(pusher, np.float64)))
-        for identity, body, pose in entries:
-            index = _pixels_near(camera, pose[:3], body.radius)
-            if not index.size:
-                continue
-            hits = body.cast(origin, directions[index], pose, index)
-            met = hits.triangle >= 0
-            if identity >= 0:
-                amodal[identity, index[met]] = True
-            nearer = met & (hits.depth < depth[index])
-            chosen = index[nearer]
-            depth[chosen] = hits.depth[nearer]
-            ids[chosen] = identity
-            if rgb is not None and chosen.size:
-                part = Hits(
-                    chosen,
-                    hits.depth[nearer],
-                    hits.triangle[nearer],
-                    hits.u[nearer],
-                    hits.v[nearer],
-                )
-                rgb[chosen] = body.colours(part, pose)
-        depth[depth > _NO_HIT] = 0.0
-        shape = (camera.height, camera.width)
-        return Frame(
-            depth.reshape(shape),
-            ids.reshape(shape),
-            amodal.reshape(-1, *shape),
-            None if rgb is None else rgb.reshape(*shape, 3),
+            (patch,) = _cast(seen, [self._pusher], np.asarray(pusher, np.float64)[None])
+            _compose(depth, ids, patch, PUSHER)
+        rgb = self._colours(seen, states, pusher, ids) if colour else None
+        depth[depth > NO_HIT] = 0.0
+        return Frame(depth, ids, heap.amodal.copy(), rgb)
+
+    def _looking(self, camera: Camera) -> _Seen:
+        if camera not in self._seen:
+            view = View(camera)
+            rays = view.rays(view.frame)
+            depth, colour = self._background(view.origin, rays.astype(np.float64))
+            self._seen[camera] = _Seen(view, rays, depth, colour)
+        return self._seen[camera]
+
+    def _heap(self, seen: _Seen, states: Floats) -> Frame:
+        """Return the objects without the pusher; nothing is cast for those that lie as before."""
+        if seen.frame is not None and np.array_equal(states, seen.poses):
+            return seen.frame
+        seen.patches = self._patches(seen, states)
+        seen.poses = states.copy()
+        depth = seen.empty.copy()
+        ids = np.full(depth.shape, BACKGROUND, np.int16)
+        amodal = np.zeros((len(self.bodies), *depth.shape), np.bool_)
+        for i, patch in enumerate(seen.patches):
+            amodal[i][patch.block.of] = patch.depth < NO_HIT
+            _compose(depth, ids, patch, i)
+        seen.frame = Frame(depth, ids, amodal, None)
+        return seen.frame
+
+    def _patches(self, seen: _Seen, states: Floats) -> list[_Patch]:
+        moved = np.ones(len(states), np.bool_)
+        if seen.frame is not None:
+            moved = (states != seen.poses).any(axis=1)
+        which = np.flatnonzero(moved).tolist()
+        bodies = [self.bodies[i] for i in which]
+        patches = list(seen.patches) or [_Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])] * len(
+            states
         )
+        for i, patch in zip(which, _cast(seen, bodies, states[moved]), strict=True):
+            patches[i] = patch
+        return patches
 
-    def _view(self, camera: Camera) -> tuple[Floats, NDArray[np.float32], Array, Array]:
-        if camera not in self._rays:
-            pose = camera.pose
-            directions = (camera.directions() @ pose[:3, :3].T).reshape(-1, 3)
-            depth, colour = self._background(pose[:3, 3], directions)
-            self._rays[camera] = (pose[:3, 3], directions.astype(np.float32), depth, colour)
-        return self._rays[camera]
+    def _colours(
+        self, seen: _Seen, states: Floats, pusher: Array | None, ids: NDArray[np.int16]
+    ) -> NDArray[np.uint8]:
+        rgb = seen.colour.copy()
+        for identity in np.unique(ids[ids != BACKGROUND]).tolist():
+            body = self._pusher if identity == PUSHER else self.bodies[identity]
+            pose = np.asarray(pusher if identity == PUSHER else states[identity], np.float64)
+            assert body is not None
+            shown, pixels = seen.view.appearances([body], pose[None]), ids == identity
+            hits = body.cast(shown.starts[0], seen.rays[pixels], shown.rotations[0])
+            rgb[pixels] = body.colours(hits, shown.rotations[0])
+        return rgb
 
-    def _background(self, origin: Floats, directions: Floats) -> tuple[Array, Array]:
-        depth = np.full(len(directions), np.inf)
-        colour = np.tile(_FLOOR_COLOUR, (len(directions), 1))
-        down = directions[:, 2] < 0
+    def _background(
+        self, origin: Floats, rays: Floats
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        depth = np.full(rays.shape[:2], np.inf)
+        colour = np.empty(rays.shape)
+        colour[:] = _FLOOR_COLOUR
+        down = rays[..., 2] < 0
         for height, shade in ((self._floor, _FLOOR_COLOUR), (0.0, _TABLE_COLOUR)):
-            distance = np.full(len(directions), np.inf)
-            distance[down] = (height - origin[2]) / directions[down, 2]
+            distance = np.full(depth.shape, np.inf)
+            distance[down] = (height - origin[2]) / rays[down, 2]
             with np.errstate(invalid="ignore"):
-                points = origin + directions * distance[:, None]
-                on_table = np.abs(points[:, :2]).max(axis=1) <= self._table_half
+                points = origin + rays * distance[..., None]
+                on_table = np.abs(points[..., :2]).max(axis=-1) <= self._table_half
             hit = down & (distance > 0) & (on_table if height == 0.0 else True)
             depth[hit] = distance[hit]
             colour[hit] = shade
         return depth.astype(np.float32), colour.astype(np.uint8)
 
 
-def _pixels_near(camera: Camera, centre: Floats, radius: float) -> NDArray[np.intp]:
-    """Return the flat indices of pixels whose rays may meet a sphere."""
-    rows, columns = bounding_box(camera, centre, radius)
-    rows = slice(max(rows.start, 0), min(rows.stop, camera.height))
-    columns = slice(max(columns.start, 0), min(columns.stop, camera.width))
-    if rows.start >= rows.stop or columns.start >= columns.stop:
-        return np.empty(0, np.intp)
-    grid = np.arange(rows.start, rows.stop)[:, None] * camera.width
-    return np.asarray((grid + np.arange(columns.start, columns.stop)).ravel(), np.intp)
+def _nothing(seen: _Seen) -> _Patch:
+    return _Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])
 
 
-def bounding_box(camera: Camera, centre: Floats, radius: float) -> tuple[slice, slice]:
-    """Return rows and columns [px] that hold a sphere's projection, beyond the frame too.
+def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[_Patch]:
+    """Return what bodies at poses (N, 7) show in the frame."""
+    shown = seen.view.appearances(bodies, poses)
+    patches = []
+    for i, body in enumerate(bodies):
+        block = shown.blocks[i].within(seen.view.frame)
+        if block.empty:
+            patches.append(_nothing(seen))
+            continue
+        rays = seen.rays[block.of]
+        depth = body.depths(shown.starts[i], rays.reshape(-1, 3), shown.rotations[i])
+        patches.append(_Patch(block, depth.reshape(rays.shape[:2])))
+    return patches
 
-    A sphere that reaches the camera plane gets the whole frame.
-    """
-    pose = camera.pose
-    x, y, z = (np.asarray(centre) - pose[:3, 3]) @ pose[:3, :3]
-    if z <= radius * 1.05:
-        return slice(0, camera.height), slice(0, camera.width)
 
-    def interval(offset: float, focal: float, principal: float) -> slice:
-        middle, half = np.arctan2(offset, z), np.arcsin(radius / np.hypot(offset, z))
-        low = focal * np.tan(max(middle - half, -1.5)) + principal
-        high = focal * np.tan(min(middle + half, 1.5)) + principal
-        return slice(int(np.floor(low)), int(np.ceil(high)) + 1)
-
-    return interval(y, camera.fy, camera.cy), interval(x, camera.fx, camera.cx)
+def _compose(
+    depth: NDArray[np.float32], ids: NDArray[np.int16], patch: _Patch, identity: int
+) -> None:
+    """Draw a patch where it is nearer than what is there."""
+    part = depth[patch.block.of]
+    nearer = patch.depth < part
+    np.copyto(part, patch.depth, where=nearer)
+    np.copyto(ids[patch.block.of], identity, where=nearer)

@@ -1,13 +1,14 @@
 """Occlusion: the share of an object's whole projection that other objects hide."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.render.renderer import Body, bounding_box
-from mechsearch.types import Array, Floats
+from mechsearch.render.body import NO_HIT, Body
+from mechsearch.render.view import View
+from mechsearch.types import Array
 
 
 def occlusion(
@@ -26,44 +27,30 @@ def occlusion(
         target: Index of the object in question.
         density: Rays for each pixel, along each axis.
     """
-    states = np.asarray(poses, np.float64)
-    dense = camera.resized(camera.height * density)
-    origin, directions = _rays_towards(dense, states[target, :3], bodies[target].radius)
-    depth = bodies[target].depths(origin, directions, states[target])
-    met = depth < 1e30
-    if not met.any():
+    view = _dense(camera, density)
+    shown = view.appearances(bodies, np.asarray(poses, np.float64))
+    blocks = shown.blocks
+    rays = view.rays(blocks[target])
+
+    def cast(index: int, directions: Array) -> Array:
+        return bodies[index].depths(shown.starts[index], directions, shown.rotations[index])
+
+    depth = cast(target, rays.reshape(-1, 3)).reshape(rays.shape[:2])
+    seen = depth < NO_HIT
+    whole = int(seen.sum())
+    if not whole:
         return 1.0
-    directions, depth = directions[met], depth[met]
-    hidden = np.zeros(len(depth), np.bool_)
-    for i, body in enumerate(bodies):
-        if i == target:
+    for i, block in enumerate(blocks):
+        common = block.within(blocks[target])
+        if i == target or common.empty:
             continue
-        near = _may_meet(origin, directions, states[i, :3], body.radius) & ~hidden
-        if near.any():
-            index = np.flatnonzero(near)
-            hidden[index] = body.depths(origin, directions[index], states[i]) < depth[index]
-    return float(hidden.mean())
+        open_ = seen[common.of]
+        if open_.any():
+            nearer = cast(i, rays[common.of][open_]) < depth[common.of][open_]
+            open_[open_] = ~nearer
+    return 1.0 - int(seen.sum()) / whole
 
 
-def _rays_towards(
-    camera: Camera, centre: Floats, radius: float
-) -> tuple[Floats, NDArray[np.float32]]:
-    rows, columns = bounding_box(camera, centre, radius)
-    u, v = np.meshgrid(
-        (np.arange(columns.start, columns.stop) - camera.cx) / camera.fx,
-        (np.arange(rows.start, rows.stop) - camera.cy) / camera.fy,
-    )
-    local = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
-    pose = camera.pose
-    return pose[:3, 3], (local @ pose[:3, :3].T).astype(np.float32)
-
-
-def _may_meet(
-    origin: Floats, directions: NDArray[np.float32], centre: Floats, radius: float
-) -> NDArray[np.bool_]:
-    """Return which rays (K,) pass a sphere closer than its radius."""
-    offset = (centre - origin).astype(np.float32)
-    along = directions @ offset
-    squared = np.einsum("ij,ij->i", directions, directions)
-    result: NDArray[np.bool_] = offset @ offset - along**2 / squared <= np.float32(radius**2)
-    return result
+@lru_cache(maxsize=8)
+def _dense(camera: Camera, density: int) -> View:
+    return View(camera.resized(camera.height * density))

@@ -5,11 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.sim.world import World
 from mechsearch.types import Array
 
 REST_LIMIT = 0.001
 """At rest, no object moves farther than this [m] in one more simulated second."""
+
+AWAKE = PhysicsConfig(sleep_speed=0.0)
+"""Physics in which nothing sleeps: rest is measured, not assumed."""
 
 
 def settle(world: World, seconds: float = 4.0, speed: float = 0.004) -> bool:
@@ -30,9 +34,9 @@ def settle(world: World, seconds: float = 4.0, speed: float = 0.004) -> bool:
 def drift(models: Sequence[ObjectModel], poses: Array) -> float:
     """Return how far the most restless object moves [m] in one second, started at `poses`.
 
-    A fresh world is used, as an episode would; a failed simulation drifts infinitely far.
+    A fresh world without sleep is used; a failed simulation drifts infinitely far.
     """
-    world = World(models)
+    world = World(models, config=AWAKE)
     world.reset(poses)
     world.step(round(1.0 / world.config.time_step))
     if world.failure() is not None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mechsearch.types import Array, Floats
 
@@ -37,6 +38,8 @@ class Workspace:
         """Return a position (3,) [m] drawn uniformly from the bounds."""
         return rng.uniform([-self.half, -self.half, self.low], [self.half, self.half, self.high])
 
-    def off_table(self, position: Array) -> bool:
-        """Return whether an object's centre of mass (3,) has left the table."""
-        return bool(np.abs(position[:2]).max() > self.table_half or position[2] < -0.05)
+    def off_table(self, positions: Array) -> NDArray[np.bool_]:
+        """Return which objects, centres of mass (..., 3) and more, have left the table (...,)."""
+        beyond = np.abs(positions[..., :2]).max(axis=-1) > self.table_half
+        result: NDArray[np.bool_] = beyond | (positions[..., 2] < -0.05)
+        return result

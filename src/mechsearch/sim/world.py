@@ -1,63 +1,22 @@
-"""The physics engine: the only module that imports it."""
+"""The physics engine's state, and what moves it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.pusher import Pusher
+from mechsearch.sim.scene import PhysicsConfig, Wall, compile_scene
+from mechsearch.sim.travel import Outlines, clear_steps, free_travel
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats
 
 ENGINE_VERSION = str(mujoco.__version__)
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _AWAY = np.array([0.0, 0.0, 5.0])
-
-
-@dataclass(frozen=True)
-class PhysicsConfig:
-    """Numerical choices.
-
-    Attributes:
-        time_step: [s].
-        action_steps: Steps in which the pusher travels its command.
-        rest_steps: Steps after that in which it stands, so that every action lasts the same time.
-        solver_iterations: At most, for each step.
-        deep_penetration: Overlap of two bodies that ends an episode [m].
-        explosion_speed: Speed of an object that ends an episode [m/s].
-        clearance: Distance from the pusher's way to every object's bounding box [m] from which an
-            action need not be simulated, if the heap lies still.
-        still_speed: Speed below which an object lies still [m/s].
-        still_spin: Angular speed below which an object lies still [rad/s].
-    """
-
-    time_step: float = 0.005
-    action_steps: int = 30
-    rest_steps: int = 14
-    solver_iterations: int = 30
-    deep_penetration: float = 0.015
-    explosion_speed: float = 8.0
-    clearance: float = 0.005
-    still_speed: float = 0.003
-    still_spin: float = 0.05
-
-
-@dataclass(frozen=True)
-class Wall:
-    """A vertical cylinder that confines a heap while it drops.
-
-    Attributes:
-        x: Centre [m].
-        y: Centre [m].
-        radius: Inner radius [m].
-    """
-
-    x: float
-    y: float
-    radius: float
+_REST_CHECK = 4
+"""Steps between two looks whether an action is over early."""
 
 
 class World:
@@ -84,12 +43,11 @@ class World:
         self.workspace = workspace or Workspace()
         self.count = len(models)
         self._pusher = pusher
-        self._points = [np.concatenate(model.parts) for model in models]
-        self._model = _compile(models, self.workspace, pusher, walls, self.config)
+        self._outlines = Outlines([model.parts for model in models])
+        self._model = compile_scene(models, self.workspace, pusher, walls, self.config)
         self._data = mujoco.MjData(self._model)
         self._size = mujoco.mj_stateSize(self._model, _STATE)
         self._pusher_geom = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "pusher")
-        self._table_geom = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "table")
         self._tip = self._data.qpos[7 * self.count :]
 
     @property
@@ -119,6 +77,11 @@ class World:
         self._data.qpos[7 * index : 7 * index + 7] = pose
         self._data.qvel[6 * index : 6 * index + 6] = 0.0
 
+    def remove(self, index: int) -> None:
+        """Take one object out of everything's way, as it is."""
+        self._data.qpos[7 * index] += 10.0 * (index + 1)
+        self._data.qvel[6 * index : 6 * index + 6] = 0.0
+
     def place_pusher(self, position: Array) -> None:
         """Put the pusher at rest at a position (3,) [m]."""
         self._tip[:] = position
@@ -143,43 +106,80 @@ class World:
     def push(self, target: Array) -> None:
         """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time.
 
-        Where the heap lies still and the way is clear of every object's bounding box, the pusher
-        travels exactly and the objects stay exactly: there is nothing to simulate.
+        Where the heap lies still, the pusher travels exactly, and the objects stay exactly, until
+        it comes near the first of them: up to there is nothing to simulate. What follows depends
+        on the state alone, as a snapshot holds it.
         """
         config, goal = self.config, np.asarray(target, np.float64)
-        if self._passes_freely(goal):
+        start = self.pusher_position
+        ends = self._data.time + config.steps * config.time_step
+        step = self._free_steps(start, goal)
+        if step == config.steps:
             self.place_pusher(goal)
-            self._data.time += (config.action_steps + config.rest_steps) * config.time_step
-            return
-        position = self.pusher_position
-        self._data.act[:] = position
-        self._data.ctrl[:] = (goal - position) / (config.action_steps * config.time_step)
-        mujoco.mj_step(self._model, self._data, config.action_steps)
-        self._data.ctrl[:] = 0.0
-        mujoco.mj_step(self._model, self._data, config.rest_steps)
+        else:
+            self._wake()
+            self._enter(start, goal - start, step)
+            self.step(max(config.action_steps - step, 0))
+            self._data.ctrl[:] = 0.0
+            self._rest(config.steps - max(step, config.action_steps))
+        self._data.time = ends
 
-    def _passes_freely(self, target: Floats) -> bool:
+    def _free_steps(self, start: Floats, goal: Floats) -> int:
+        """Return how many steps of an action towards `goal` nothing but the pusher moves."""
+        config = self.config
+        if self._pusher is None or not np.isfinite(config.clearance) or not self._lies_still():
+            return 0
+        answer = free_travel(self._pusher, config)
+        path = start + answer.position[:, None] * (goal - start)
+        return clear_steps(path, self._outlines.boxes(self.poses), self._pusher, config.clearance)
+
+    def _enter(self, start: Floats, command: Floats, step: int) -> None:
+        """Put the pusher where `step` steps of free travel have brought it."""
         assert self._pusher is not None
-        speeds = np.abs(self.velocities).max(axis=0, initial=0.0)
-        if not (
-            speeds[:3].max() < self.config.still_speed and speeds[3:].max() < self.config.still_spin
-        ):
-            return False
-        ends = np.stack([self.pusher_position, target])
-        reach = self._pusher.radius + self.config.clearance
-        low = ends.min(axis=0) - np.array([reach, reach, self.config.clearance])
-        top = self._pusher.length + self.config.clearance
-        high = ends.max(axis=0) + np.array([reach, reach, top])
-        if low[2] < 0.0:
-            return False
-        poses = self.poses
-        for rotation, pose, points in zip(
-            rotation_from_quaternion(poses[:, 3:]), poses, self._points, strict=True
-        ):
-            corners = points @ rotation.T + pose[:3]
-            if (corners.max(axis=0) > low).all() and (corners.min(axis=0) < high).all():
-                return False
-        return True
+        config, data = self.config, self._data
+        speed = command / (config.action_steps * config.time_step)
+        data.act[:] = start
+        if step:
+            answer = free_travel(self._pusher, config)
+            self._tip[:] = start + answer.position[step] * command
+            data.qvel[6 * self.count :] = answer.velocity[step] * command
+            data.act[:] = start + answer.set_point[step] * command
+        data.ctrl[:] = speed if step < config.action_steps else 0.0
+
+    def _rest(self, steps: int) -> None:
+        """Simulate the end of an action, as long as anything moves."""
+        while steps > 0:
+            if self.config.stops_when_still and self._lies_still():
+                return
+            self.step(min(steps, _REST_CHECK))
+            steps -= _REST_CHECK
+
+    def _lies_still(self) -> bool:
+        """Return whether neither an object nor the pusher moves."""
+        speeds = np.abs(self._data.qvel)
+        spin = speeds[: 6 * self.count].reshape(-1, 6)
+        slow = self.config.still_speed
+        return bool(
+            spin[:, :3].max(initial=0.0) < slow
+            and spin[:, 3:].max(initial=0.0) < self.config.still_spin
+            and speeds[6 * self.count :].max(initial=0.0) < slow
+        )
+
+    def _wake(self) -> None:
+        """Wake all objects, and let those at rest fall asleep after one step.
+
+        Who slept is no part of a snapshot: an action that began with sleepers could not be
+        repeated exactly.
+        """
+        if not self.config.sleep_speed:
+            return
+        data = self._data
+        if (data.tree_asleep >= 0).any():
+            # The engine's documented way to wake: a velocity of minus zero.
+            data.qvel[data.qvel == 0.0] = -0.0
+            mujoco.mj_fwdPosition(self._model, data)
+            data.qvel[data.qvel == 0.0] = 0.0
+        data.tree_asleep[:] = -1
 
     def penetrations(self) -> Floats:
         """Return the overlap (C,) of every contact [m], in the last computed step."""
@@ -188,20 +188,21 @@ class World:
 
     def failure(self) -> str | None:
         """Return the name of a simulator failure, or None while physics can be trusted."""
-        data = self._data
+        data, config = self._data, self.config
         if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
             return "not a number"
-        if data.warning.number[: int(mujoco.mjtWarning.mjNWARNING)].any():
+        if data.warning.number.any():
             return "solver warning"
         poses, speeds = self.poses, np.linalg.norm(self.velocities[:, :3], axis=1)
-        on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
-        if (on_table & (poses[:, 2] < -0.01)).any():
-            return "tunnelling"
-        if (on_table & (speeds > self.config.explosion_speed)).any():
-            return "explosion"
-        if self.penetrations().max(initial=0.0) > self.config.deep_penetration:
-            return "deep penetration"
-        return None
+        sunk, fast = poses[:, 2] < -0.01, speeds > config.explosion_speed
+        if (sunk | fast).any():
+            on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
+            if (on_table & sunk).any():
+                return "tunnelling"
+            if (on_table & fast).any():
+                return "explosion"
+        overlap = -float(data.contact.dist[: data.ncon].min(initial=0.0))
+        return "deep penetration" if overlap > config.deep_penetration else None
 
     def snapshot(self) -> Floats:
         """Return all that the next step depends on; `restore` continues bit by bit."""
@@ -233,112 +234,3 @@ class World:
         bodies = np.where(geoms >= 0, self._model.geom_bodyid[geoms], 0)
         objects = np.where((bodies >= 1) & (bodies <= self.count), bodies - 1, -1)
         return distances / lengths, objects
-
-
-def _compile(
-    models: Sequence[ObjectModel],
-    workspace: Workspace,
-    pusher: Pusher | None,
-    walls: Sequence[Wall],
-    config: PhysicsConfig,
-) -> mujoco.MjModel:
-    spec = mujoco.MjSpec()
-    option = spec.option
-    option.timestep = config.time_step
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = 10.0
-    option.iterations = config.solver_iterations
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    for i, model in enumerate(models):
-        _add_object(spec, i, model)
-    table = spec.worldbody.add_geom()
-    table.name = "table"
-    table.type = mujoco.mjtGeom.mjGEOM_BOX
-    table.size = [workspace.table_half, workspace.table_half, 0.1]
-    table.pos = [0.0, 0.0, -0.1]
-    table.friction = [0.6, 0.005, 0.0001]
-    floor = spec.worldbody.add_geom()
-    floor.type = mujoco.mjtGeom.mjGEOM_PLANE
-    floor.size = [0.0, 0.0, 1.0]
-    floor.pos = [0.0, 0.0, workspace.floor]
-    if pusher is not None:
-        _add_pusher(spec, pusher)
-    for i, wall in enumerate(walls):
-        _add_wall(spec, i, wall)
-    return spec.compile()
-
-
-def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
-    body = spec.worldbody.add_body()
-    body.name = f"object{index}"
-    body.pos = [3.0 + index, 0.0, 0.0]
-    body.add_freejoint()
-    body.mass = model.mass
-    inertia = model.inertia
-    body.fullinertia = [
-        inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2],
-    ]  # fmt: skip
-    body.ipos = [0.0, 0.0, 0.0]
-    body.explicitinertial = True
-    for k, part in enumerate(model.parts):
-        mesh = spec.add_mesh()
-        mesh.name = f"object{index}part{k}"
-        mesh.uservert = np.asarray(part, np.float64).ravel().tolist()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom = body.add_geom()
-        geom.type = mujoco.mjtGeom.mjGEOM_MESH
-        geom.meshname = mesh.name
-        geom.friction = [model.friction, 0.005, 0.001]
-        geom.condim = 6
-
-
-def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
-    body = spec.worldbody.add_body()
-    body.name = "pusher"
-    body.gravcomp = 1.0
-    body.mass = pusher.mass
-    body.inertia = [1e-3, 1e-3, 1e-3]
-    body.explicitinertial = True
-    for axis in range(3):
-        joint = body.add_joint()
-        joint.name = f"pusher{'xyz'[axis]}"
-        joint.type = mujoco.mjtJoint.mjJNT_SLIDE
-        joint.axis = np.eye(3)[axis]
-        actuator = spec.add_actuator()
-        actuator.name = joint.name
-        actuator.target = joint.name
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        # An integrated-velocity servo: its set point moves at the commanded velocity.
-        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0] = pusher.stiffness
-        actuator.biasprm[1] = -pusher.stiffness
-        actuator.biasprm[2] = -pusher.damping
-        actuator.forcelimited = True
-        actuator.forcerange = [-pusher.force, pusher.force]
-    geom = body.add_geom()
-    geom.name = "pusher"
-    geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
-    geom.fromto = [0, 0, pusher.radius, 0, 0, pusher.length - pusher.radius]
-    geom.size = [pusher.radius, 0, 0]
-    geom.friction = [pusher.friction, 0.005, 0.0001]
-
-
-def _add_wall(spec: mujoco.MjSpec, index: int, wall: Wall, sides: int = 16) -> None:
-    body = spec.worldbody.add_body()
-    body.name = f"wall{index}"
-    body.mocap = True
-    body.pos = [wall.x, wall.y, 0.0]
-    middle = wall.radius + 0.01
-    half_width = 1.1 * (middle + 0.01) * np.tan(np.pi / sides)
-    for i in range(sides):
-        angle = 2 * np.pi * i / sides
-        geom = body.add_geom()
-        geom.type = mujoco.mjtGeom.mjGEOM_BOX
-        geom.size = [0.01, half_width, 0.5]
-        geom.pos = [middle * np.cos(angle), middle * np.sin(angle), 0.5]
-        geom.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
-        geom.friction = [0.05, 0.005, 0.0001]
-        geom.priority = 1

@@ -1,0 +1,1 @@
+"""How fast everything is, beside named peers; `make bench` runs it."""

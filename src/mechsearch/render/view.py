@@ -1,0 +1,102 @@
+"""A camera's rays, and where objects may appear in its image."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.camera import Camera
+from mechsearch.geometry import rotation_from_quaternion
+from mechsearch.render.body import Body
+from mechsearch.types import Floats
+
+_NEAREST = 0.01
+"""Objects that come nearer to the camera's plane [m] may appear anywhere."""
+
+
+class Block(NamedTuple):
+    """A rectangle of pixels, which may reach beyond the frame; empty where an end is not after."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    @property
+    def empty(self) -> bool:
+        """Whether it holds no pixel."""
+        return self.top >= self.bottom or self.left >= self.right
+
+    @property
+    def of(self) -> tuple[slice, slice]:
+        """Rows and columns, to index an image (H, W) with."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    def within(self, other: "Block") -> "Block":
+        """Return the overlap with another block, counted from that one's corner."""
+        return Block(
+            max(self.top, other.top) - other.top,
+            min(self.bottom, other.bottom) - other.top,
+            max(self.left, other.left) - other.left,
+            min(self.right, other.right) - other.left,
+        )
+
+
+@dataclass(frozen=True)
+class Appearances:
+    """What casting rays against N bodies needs.
+
+    Attributes:
+        blocks: Where each may appear, beyond the frame too.
+        starts: The camera in each body's frame (N, 3) [m].
+        rotations: Of the bodies (N, 3, 3).
+    """
+
+    blocks: list[Block]
+    starts: NDArray[np.float32]
+    rotations: NDArray[np.float32]
+
+
+class View:
+    """Rays of a camera through the centres of its pixels."""
+
+    def __init__(self, camera: Camera) -> None:
+        """Take a camera's pose and intrinsics."""
+        self.camera = camera
+        self.frame = Block(0, camera.height, 0, camera.width)
+        self.origin: Floats = camera.pose[:3, 3]
+        self._axes = camera.pose[:3, :3]
+        self._focal = np.array([camera.fy, camera.fx])
+        self._principal = np.array([camera.cy, camera.cx])
+
+    def rays(self, block: Block) -> NDArray[np.float32]:
+        """Return the directions (h, w, 3) of a block's rays, as long as 1 m of depth."""
+        camera = self.camera
+        u = (np.arange(block.left, block.right) - camera.cx) / camera.fx
+        v = (np.arange(block.top, block.bottom) - camera.cy) / camera.fy
+        across, down, forward = self._axes.T
+        rays = v[:, None, None] * down + (u[:, None] * across + forward)
+        single: NDArray[np.float32] = rays.astype(np.float32)
+        return single
+
+    def appearances(self, bodies: Sequence[Body], poses: Floats) -> Appearances:
+        """Return where bodies at poses (N, 7) appear, by their bounding boxes."""
+        rotations = rotation_from_quaternion(poses[:, 3:])
+        offsets = self.origin - poses[:, :3]
+        starts = np.einsum("ni,nij->nj", offsets, rotations)
+        corners = np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
+        # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
+        local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)
+        z = local[..., 2:]
+        pixels = local[..., 1::-1] / np.maximum(z, _NEAREST) * self._focal + self._principal
+        low = np.floor(pixels.min(axis=1)).astype(np.intp).tolist()
+        high = np.ceil(pixels.max(axis=1)).astype(np.intp).tolist()
+        blocks = [
+            Block(top, bottom + 1, left, right + 1)
+            for (top, left), (bottom, right) in zip(low, high, strict=True)
+        ]
+        for i in np.flatnonzero(z.min(axis=(1, 2)) < _NEAREST).tolist():
+            blocks[i] = self.frame
+        return Appearances(blocks, starts.astype(np.float32), rotations.astype(np.float32))

@@ -1,0 +1,221 @@
+"""Compiles objects, table, pusher and walls for the physics engine."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.pusher import Pusher
+from mechsearch.sim.workspace import Workspace
+from mechsearch.types import Floats
+
+AMONG_OBJECTS = 1
+"""Bit of what collides with each other: parts of objects, pusher, walls."""
+
+WITH_TABLE = 2
+"""Bit of what rests on the table: one hull of each whole object, which touches a plane where the
+union of its parts would, at a fraction of the contacts."""
+
+SLIDING_AND_SPINNING = 4
+ROLLING_TOO = 6
+"""Friction directions of a contact. Rolling friction acts on the table alone, where balls roll."""
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """Numerical choices; `docs/performance.md` tells what each is worth.
+
+    Attributes:
+        time_step: [s].
+        action_steps: Steps in which the pusher travels its command.
+        rest_steps: Steps after that in which it stands, so that every action lasts the same time.
+        solver_iterations: At most, for each step.
+        contact_time: Time constant with which an overlap of bodies is pushed apart [s]; at least
+            two time steps.
+        contact_impedance: Share of a contact's force that is hard: at first touch, and from 1 mm
+            of overlap.
+        sleep_speed: Islands of objects slower than this [m/s] are left out until something touches
+            them; 0 simulates everything.
+        clearance: Distance between pusher and the nearest convex part [m] down to which it travels
+            through a resting heap without the objects being simulated; infinite simulates all.
+        still_speed: Speed below which an object lies still [m/s].
+        still_spin: Angular speed below which an object lies still [rad/s].
+        stops_when_still: Leave out what remains of an action when everything has come to rest.
+        deep_penetration: Overlap of two bodies that ends an episode [m].
+        explosion_speed: Speed of an object that ends an episode [m/s].
+    """
+
+    time_step: float = 0.005
+    action_steps: int = 30
+    rest_steps: int = 14
+    solver_iterations: int = 30
+    contact_time: float = 0.01
+    contact_impedance: tuple[float, float] = (0.95, 0.99)
+    sleep_speed: float = 0.003
+    clearance: float = 0.005
+    still_speed: float = 0.003
+    still_spin: float = 0.05
+    stops_when_still: bool = True
+    deep_penetration: float = 0.015
+    explosion_speed: float = 8.0
+
+    @property
+    def steps(self) -> int:
+        """Steps of one action."""
+        return self.action_steps + self.rest_steps
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A vertical cylinder that confines a heap while it drops.
+
+    Attributes:
+        x: Centre [m].
+        y: Centre [m].
+        radius: Inner radius [m].
+    """
+
+    x: float
+    y: float
+    radius: float
+
+
+def compile_scene(
+    models: Sequence[ObjectModel],
+    workspace: Workspace,
+    pusher: Pusher | None,
+    walls: Sequence[Wall],
+    config: PhysicsConfig,
+) -> mujoco.MjModel:
+    """Return the engine's model: the objects' free joints first, then the pusher's three slides."""
+    spec = mujoco.MjSpec()
+    option = spec.option
+    option.timestep = config.time_step
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 10.0
+    option.iterations = config.solver_iterations
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if config.sleep_speed:
+        option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        option.sleep_tolerance = config.sleep_speed
+    for i, model in enumerate(models):
+        _add_object(spec, i, model)
+    _add_table(spec, workspace)
+    if pusher is not None:
+        _add_pusher(spec, pusher)
+    for i, wall in enumerate(walls):
+        _add_wall(spec, i, wall)
+    for geom in spec.geoms:
+        geom.solref = [config.contact_time, 1.0]
+        geom.solimp = [*config.contact_impedance, 0.001, 0.5, 2.0]
+    return spec.compile()
+
+
+def _add_table(spec: mujoco.MjSpec, workspace: Workspace) -> None:
+    """Add the table's top, without an edge: what crosses the edge has left the scene."""
+    geom = spec.worldbody.add_geom()
+    geom.name = "table"
+    geom.type = mujoco.mjtGeom.mjGEOM_PLANE
+    geom.size = [workspace.table_half, workspace.table_half, 1.0]
+    geom.friction = [0.6, 0.005, 0.0001]
+    geom.condim = ROLLING_TOO
+    geom.contype, geom.conaffinity = 0, WITH_TABLE
+
+
+def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
+    body = spec.worldbody.add_body()
+    body.name = f"object{index}"
+    body.pos = [3.0 + index, 0.0, 0.0]
+    body.add_freejoint()
+    body.mass = model.mass
+    inertia = model.inertia
+    body.fullinertia = [
+        inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2],
+    ]  # fmt: skip
+    body.ipos = [0.0, 0.0, 0.0]
+    body.explicitinertial = True
+    single = len(model.parts) == 1
+    for k, part in enumerate(model.parts):
+        bits = AMONG_OBJECTS | WITH_TABLE if single else AMONG_OBJECTS
+        _add_hull(spec, body, f"object{index}part{k}", part, model.friction, bits)
+    if not single:
+        points = np.concatenate(model.parts)
+        whole = points[ConvexHull(points).vertices]
+        _add_hull(spec, body, f"object{index}whole", whole, model.friction, WITH_TABLE)
+
+
+def _add_hull(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    name: str,
+    points: Floats,
+    friction: float,
+    bits: int,
+) -> None:
+    mesh = spec.add_mesh()
+    mesh.name = name
+    mesh.uservert = np.asarray(points, np.float64).ravel().tolist()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    geom = body.add_geom()
+    geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    geom.meshname = name
+    geom.friction = [friction, 0.005, 0.001]
+    geom.condim = SLIDING_AND_SPINNING
+    geom.contype, geom.conaffinity = bits, bits & AMONG_OBJECTS
+
+
+def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
+    body = spec.worldbody.add_body()
+    body.name = "pusher"
+    body.gravcomp = 1.0
+    body.mass = pusher.mass
+    body.inertia = [1e-3, 1e-3, 1e-3]
+    body.explicitinertial = True
+    for axis in range(3):
+        joint = body.add_joint()
+        joint.name = f"pusher{'xyz'[axis]}"
+        joint.type = mujoco.mjtJoint.mjJNT_SLIDE
+        joint.axis = np.eye(3)[axis]
+        actuator = spec.add_actuator()
+        actuator.name = joint.name
+        actuator.target = joint.name
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        # An integrated-velocity servo: its set point moves at the commanded velocity.
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0] = pusher.stiffness
+        actuator.biasprm[1] = -pusher.stiffness
+        actuator.biasprm[2] = -pusher.damping
+        actuator.forcelimited = True
+        actuator.forcerange = [-pusher.force, pusher.force]
+    geom = body.add_geom()
+    geom.name = "pusher"
+    geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom.fromto = [0, 0, pusher.radius, 0, 0, pusher.length - pusher.radius]
+    geom.size = [pusher.radius, 0, 0]
+    geom.friction = [pusher.friction, 0.005, 0.0001]
+    geom.condim = SLIDING_AND_SPINNING
+    geom.contype, geom.conaffinity = AMONG_OBJECTS, AMONG_OBJECTS
+
+
+def _add_wall(spec: mujoco.MjSpec, index: int, wall: Wall, sides: int = 16) -> None:
+    body = spec.worldbody.add_body()
+    body.name = f"wall{index}"
+    body.mocap = True
+    body.pos = [wall.x, wall.y, 0.0]
+    middle = wall.radius + 0.01
+    half_width = 1.1 * (middle + 0.01) * np.tan(np.pi / sides)
+    for i in range(sides):
+        angle = 2 * np.pi * i / sides
+        geom = body.add_geom()
+        geom.type = mujoco.mjtGeom.mjGEOM_BOX
+        geom.size = [0.01, half_width, 0.5]
+        geom.pos = [middle * np.cos(angle), middle * np.sin(angle), 0.5]
+        geom.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+        geom.friction = [0.05, 0.005, 0.0001]
+        geom.priority = 1
