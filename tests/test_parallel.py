@@ -100,6 +100,21 @@ def test_bad_input_is_neither_tried_again_nor_replaced(workers):
         list(map_in_order(refuse, range(8), workers, instead=lambda *_: 0))
 
 
+def refuse_slowly(number):
+    time.sleep(0.5 if number == 2 else 0)
+    if number >= 2:
+        refuse(number)
+    return number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_errors_keep_the_order_of_the_inputs_too(workers):
+    results = map_in_order(refuse_slowly, range(8), workers)
+    assert [next(results), next(results)] == [0, 1]
+    with pytest.raises(MechSearchError, match="2 is bad input"):
+        next(results)
+
+
 def test_one_worker_is_this_process_and_raising_has_the_same_rules(tmp_path):
     square = Square(tmp_path, raise_on=2)
     assert list(map_in_order(square, range(4), 1)) == SQUARES[:4]

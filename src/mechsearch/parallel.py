@@ -130,7 +130,7 @@ class Ledger(Generic[Input, Result]):
         self._items: dict[int, Input] = {}
         self._failures: dict[int, int] = {}
         self._again: deque[int] = deque()
-        self._results: dict[int, Result] = {}
+        self._results: dict[int, Result | Failure] = {}
         self._due = 0
 
     def take(self, ahead: int) -> tuple[int, Input] | None:
@@ -157,28 +157,31 @@ class Ledger(Generic[Input, Result]):
         self._again.extend(numbers)
 
     def settle(self, number: int, value: Result | Failure) -> None:
-        """Keep a result, or have what failed done again, or replace what failed too often.
-
-        Raises:
-            MechSearchError: If that is what the function raised.
-        """
+        """Keep a result, or have what failed done again unless it was bad input, or twice."""
         if not isinstance(value, Failure):
             self._results[number] = value
             return
-        if isinstance(value.error, MechSearchError):
-            raise value.error
         self._failures[number] = self._failures.get(number, 0) + 1
-        if self._failures[number] < TRIES:
+        if self._failures[number] < TRIES and not isinstance(value.error, MechSearchError):
             self._again.append(number)
         else:
-            self._results[number] = self._instead(self._items[number], value)
+            self._results[number] = value
 
     def due(self) -> Iterator[Result]:
-        """Yield the results that all earlier ones have gone before."""
+        """Yield the results that all earlier ones have gone before, or what replaces them.
+
+        Raises:
+            MechSearchError: What the function raised about bad input.
+        """
         while self._due in self._results:
-            del self._items[self._due]
+            item, value = self._items.pop(self._due), self._results.pop(self._due)
             self._due += 1
-            yield self._results.pop(self._due - 1)
+            if not isinstance(value, Failure):
+                yield value
+            elif isinstance(value.error, MechSearchError):
+                raise value.error
+            else:
+                yield self._instead(item, value)
 
 
 def _feed(
