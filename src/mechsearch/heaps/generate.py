@@ -23,8 +23,8 @@ from mechsearch.parallel import Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.runs import append_line, read_json, read_lines, write_json, write_whole
-from mechsearch.sim.scene import Wall
-from mechsearch.sim.settle import AWAKE, REST_LIMIT, drift, settle
+from mechsearch.sim.scene import PhysicsConfig, Wall
+from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
 from mechsearch.sim.world import ENGINE_VERSION, World
 from mechsearch.types import Floats, MechSearchError
@@ -34,6 +34,9 @@ DROPS = ("wall", "open")
 
 ATTEMPT_LIMIT = 300.0
 """Time after which an attempt hangs [s]; it takes a fraction of a second."""
+
+_DROPPING = PhysicsConfig(time_step=0.0075, contact_time=0.015, sleep_speed=0.0)
+"""Coarser than an episode's physics, in which the rest of every accepted heap is measured."""
 
 
 @dataclass(frozen=True)
@@ -172,19 +175,19 @@ def attempt(config: GenerateConfig, objects: ObjectSet, count: int, number: int)
     chosen = rng.choice(len(objects.models), count * len(walls), replace=False)
     names = tuple(list(objects.models)[i] for i in chosen)
     models = [objects.models[name] for name in names]
-    world = World(models, walls=walls if config.drop == "wall" else (), config=AWAKE)
+    world = World(models, walls=walls if config.drop == "wall" else (), config=_DROPPING)
     poses = _drop(world, models, walls, config, rng)
+    if poses is None:
+        return None
     workspace = Workspace()
-    if poses is None or workspace.off_table(poses).any():
-        return None
-    if drift(models, poses) > REST_LIMIT:
-        return None
     bodies = [body_of(model) for model in models]
     camera = preset(config.camera)
     for target in rng.permutation(len(names)):
         inside = np.abs(poses[target, :2]).max() < workspace.half
         hidden = occlusion(bodies, camera, poses, int(target))
         if inside and config.least <= hidden <= config.most:
+            if drift(models, poses) > REST_LIMIT:
+                return None
             identity = int(seeds.generate_state(1, np.uint64)[0] >> 1)
             return Heap(names, poses, int(target), hidden, identity, count, config.condition, False)
     return None

@@ -12,6 +12,9 @@ from mechsearch.types import Array
 REST_LIMIT = 0.001
 """At rest, no object moves farther than this [m] in one more simulated second."""
 
+_LOOK = 0.125
+"""Time between two looks at a settling heap [s]."""
+
 AWAKE = PhysicsConfig(sleep_speed=0.0)
 """Physics in which nothing sleeps: rest is measured, not assumed."""
 
@@ -20,12 +23,14 @@ def settle(world: World, seconds: float = 4.0, speed: float = 0.004) -> bool:
     """Step until every object is slower than `speed` [m/s, rad/s / 10], or give up.
 
     Returns:
-        Whether all objects came to rest.
+        Whether all objects came to rest on the table; it ends when the first has left that.
     """
     weights = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
-    chunk = max(1, round(0.25 / world.config.time_step))
-    for _ in range(int(seconds / 0.25)):
+    chunk = max(1, round(_LOOK / world.config.time_step))
+    for _ in range(round(seconds / _LOOK)):
         world.step(chunk)
+        if world.workspace.off_table(world.poses).any():
+            return False
         if float(np.abs(world.velocities * weights).max(initial=0.0)) < speed:
             return True
     return False
