@@ -22,7 +22,7 @@ PEER = "the same episodes in one process"
 
 def measure(settings: Settings) -> Iterator[Figure]:
     """Play the same episodes in one process and in several, by turns; images and 15 objects."""
-    actions, rounds = (60, 5) if settings.full else (20, 3)
+    actions, rounds = (60, 5) if settings.full else (12, 3)
     numbers = [n for n in (1, 2, 4, 8, 16, 32) if n <= max(machine.cores(), 2)]
     make = partial(_make, replace(settings.workload))
     first = make()
@@ -81,4 +81,5 @@ def _push(obs: dict[str, Array], rngs: list[np.random.Generator]) -> Array:
     offset = obs["target_offset"]
     towards = offset / np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
     noise = np.array([rng.normal(0.0, 0.6, 3) for rng in rngs])
-    return np.clip(towards + noise, -1, 1).astype(np.float32)
+    actions: Array = np.clip(towards + noise, -1, 1).astype(np.float32)
+    return actions
