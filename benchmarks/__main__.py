@@ -28,6 +28,7 @@ MEASUREMENTS = {
     "action": "action:measure",
     "share": "share:measure",
     "workers": "workers:measure",
+    "vector": "vector:measure",
     "frames": "frames:measure",
     "generation": "generation:measure",
     "updates": "updates:measure",
@@ -36,8 +37,8 @@ MEASUREMENTS = {
     "train-8000": "end_to_end:measure_training",
 }
 ORDER = (
-    "action-5", "action-10", "action-15", "workers", "frames", "heaps-per-second", "heaps-4200",
-    "updates", "train", "objects", "side",
+    "action-5", "action-10", "action-15", "workers", "vector", "frames", "heaps-per-second",
+    "heaps-4200", "updates", "train", "objects", "side",
 )  # fmt: skip
 
 

@@ -73,6 +73,15 @@ def test_python_can_run_the_package(
     assert capsys.readouterr().out.startswith("mechsearch ")
 
 
+def test_without_ray_its_options_say_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    words = ["heaps", "generate", "--out", str(tmp_path / "heaps.parquet")]
+    assert "install mechsearch[ray]" in failure([*words, "--ray"], capsys)
+    assert "install mechsearch[ray]" in failure([*words, "--ray-address", "auto"], capsys)
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     if COMMANDS[name].learns:

@@ -1,8 +1,9 @@
 """Teach robots to uncover a known object in a heap of unknown ones.
 
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
-environments, `generate` and `load_heaps` heap sets, `load_object_set` objects, and `make_policy`
-policies by name, file or function. Each is imported when it is first used.
+environments, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
+`generate` and `load_heaps` heap sets, `load_object_set` objects, and `make_policy` policies by
+name, file or function. Each is imported when it is first used.
 """
 
 from importlib import import_module
@@ -13,7 +14,8 @@ import gymnasium
 
 if TYPE_CHECKING:
     from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-    from mechsearch.env.register import make_env
+    from mechsearch.env.register import make_env, make_vector_env
+    from mechsearch.env.vector import VectorHeapEnv
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.heaps.dataset import load as load_heaps
     from mechsearch.heaps.generate import GenerateConfig, generate
@@ -26,10 +28,12 @@ _PLACES = {
     "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
+    "VectorHeapEnv": "env.vector:VectorHeapEnv",
     "generate": "heaps.generate:generate",
     "load_heaps": "heaps.dataset:load",
     "load_object_set": "objects.catalog:load_object_set",
     "make_env": "env.register:make_env",
+    "make_vector_env": "env.register:make_vector_env",
     "make_policy": "evaluation.policies:make_policy",
 }
 
@@ -40,17 +44,20 @@ __all__ = [
     "HeapEnvConfig",
     "MechSearchError",
     "Policy",
+    "VectorHeapEnv",
     "generate",
     "load_heaps",
     "load_object_set",
     "make_env",
     "make_policy",
+    "make_vector_env",
 ]
 
 for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):
     gymnasium.register(
         f"mechsearch/{_name}-v0",
         entry_point="mechsearch.env.register:make_env",
+        vector_entry_point="mechsearch.env.register:make_vector_env",
         kwargs={"condition": _condition},
     )
 

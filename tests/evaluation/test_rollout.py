@@ -1,5 +1,7 @@
-from collections.abc import Callable, Iterator
-from concurrent.futures.process import BrokenProcessPool
+import os
+import signal
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -184,30 +186,85 @@ def test_the_result_does_not_depend_on_the_number_of_workers(heap_file: Path) ->
     assert all(map(same, one.episodes, two.episodes))
 
 
-def dying(results: int) -> Callable[..., Iterator[EpisodeRecord]]:
-    """Return a stand-in whose workers die after each `results` episodes."""
+class Killer(IdlePolicy):
+    """Idles, but kills its process where the file beside this test's heaps says so."""
 
-    def map_in_order(function, inputs, workers):
-        for i, item in enumerate(inputs):
-            if i == results:
-                raise BrokenProcessPool
-            yield function(item)
+    keys = ("target_offset",)
 
-    return map_in_order
-
-
-def test_dead_workers_cost_time_only(heap_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mechsearch.evaluation.rollout.map_in_order", dying(1))
-    plan = EvaluationPlan("idle", heap_file, env=HeapEnvConfig(max_actions=1, uncovered_at=-1.0))
-    assert [record.heap_seed for record in evaluate(plan).episodes] == [11, 12, 13]
+    def act(self, obs):
+        folder, height = killing()
+        if abs(float(obs["target_offset"][1]) - height) < 1e-5:
+            left = len(list(folder.glob("life-*")))
+            if left:
+                (folder / f"life-{left}").unlink()
+                os.kill(os.getpid(), signal.SIGKILL)
+        return super().act(obs)
 
 
-def test_workers_that_keep_dying_are_an_error(
+def killing() -> tuple[Path, float]:
+    folder = Path(os.environ["KILLER_FOLDER"])
+    return folder, float((folder / "height").read_text())
+
+
+@pytest.fixture
+def kill_on_heap_12(
+    env: HeapEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[int], EvaluationPlan]:
+    """Return a maker of plans whose policy kills its process on heap 12, so many times."""
+    monkeypatch.setenv("KILLER_FOLDER", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    task = HeapEnvConfig(keys=("target_offset",), max_actions=2, uncovered_at=-1.0)
+    twin = HeapEnv(env.heaps, env.objects, task)
+    obs, _ = twin.reset(options={"heap": 1, "fixed_start": True})
+    (tmp_path / "height").write_text(str(float(obs["target_offset"][1])))
+
+    def make(heap_file: Path, times: int) -> EvaluationPlan:
+        for i in range(times):
+            (tmp_path / f"life-{i + 1}").touch()
+        return EvaluationPlan(f"{__name__}:Killer", heap_file, name="killer", env=task)
+
+    return make
+
+
+def test_a_dead_worker_costs_time_only(heap_file: Path, kill_on_heap_12) -> None:
+    evaluation = evaluate(kill_on_heap_12(heap_file, 1), workers=2)
+    assert [record.heap_seed for record in evaluation.episodes] == [11, 12, 13]
+    assert (evaluation.header["heaps"], evaluation.header["quarantined"]) == (3, [])
+    calm = evaluate(kill_on_heap_12(heap_file, 0))
+    assert all(map(same, evaluation.episodes, calm.episodes))
+
+
+def test_a_heap_that_kills_two_workers_is_quarantined_and_the_counts_add_up(
+    heap_file: Path, kill_on_heap_12
+) -> None:
+    evaluation = evaluate(kill_on_heap_12(heap_file, 9), workers=2)
+    assert [record.heap_seed for record in evaluation.episodes] == [11, 13]
+    header = evaluation.header
+    assert header["quarantined"] == [{"heap": 12, "reason": "worker died"}]
+    assert header["heaps"] == len(evaluation.episodes) + len(header["quarantined"])
+
+
+def test_when_no_episode_can_be_run_the_reason_is_named(
     heap_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mechsearch.evaluation.rollout.map_in_order", dying(0))
-    with pytest.raises(MechSearchError, match="died twice after 0 of 3 episodes"):
-        evaluate(EvaluationPlan("idle", heap_file), workers=2)
+    def step(self, action):
+        raise ValueError("no physics")
+
+    monkeypatch.setattr(HeapEnv, "step", step)
+    with pytest.raises(MechSearchError, match=r"all 3 heaps failed twice; .*11: .*no physics"):
+        evaluate(EvaluationPlan("idle", heap_file))
+
+
+class Unsure(IdlePolicy):
+    def act(self, obs):
+        raise KeyError("unsure")
+
+
+def test_what_a_policy_raises_stops_the_evaluation_instead_of_dropping_its_heaps(
+    env: HeapEnv,
+) -> None:
+    with pytest.raises(MechSearchError, match="policy unsure raised KeyError: 'unsure'"):
+        run(Unsure(), env, [0], name="unsure")
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from mechsearch.heaps.dataset import check_objects, heap_from_json, heap_to_json
 from mechsearch.heaps.generate import GenerateConfig, attempt, generate
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.types import MechSearchError
+from mechsearch.workers import Failure
 
 SMALL = GenerateConfig(heaps=4, counts=(5, 6), seed=5)
 
@@ -54,6 +55,42 @@ def test_verification_restores_every_heap_and_finds_a_moved_one(small):
 @pytest.mark.timeout(120)
 def test_two_workers_make_the_same_heaps_as_one(small, tmp_path):
     assert generate(SMALL, tmp_path / "two.parquet", workers=2).hash == small[1].hash
+
+
+def losing(numbers):
+    """Return a map whose workers died twice of some attempts at heaps of 5."""
+
+    def mapper(function, inputs, workers, time_limit, instead):
+        for drop in inputs:
+            lost = drop.count == 5 and drop.number in numbers
+            yield instead(drop, Failure("worker died")) if lost else function(drop)
+
+    return mapper
+
+
+def test_an_attempt_that_kills_two_workers_is_discarded_and_recorded_by_number(small, tmp_path):
+    heaps = generate(SMALL, tmp_path / "lost.parquet", mapper=losing({0}))
+    assert heaps.manifest["lost_attempts"] == {"5": {"0": "worker died"}}
+    assert len(heaps.heaps) == 4
+    first = attempt(SMALL, load_object_set("household"), 5, 0)
+    assert first is None or first.seed not in {heap.seed for heap in heaps.heaps}
+    assert "lost_attempts" not in small[1].manifest
+
+
+def test_a_lost_attempt_stays_lost_when_a_set_is_continued(tmp_path):
+    def cut(label, done, total):
+        if done == 2:
+            raise InterruptedError
+
+    path = tmp_path / "cut.parquet"
+    with pytest.raises(InterruptedError):
+        generate(SMALL, path, progress=cut, mapper=losing({0}))
+    assert generate(SMALL, path).manifest["lost_attempts"] == {"5": {"0": "worker died"}}
+
+
+def test_objects_that_always_kill_their_workers_are_an_error_that_says_so(tmp_path):
+    with pytest.raises(MechSearchError, match=r"0 of 200 .* 200 drops were lost: worker died"):
+        generate(SMALL, tmp_path / "none.parquet", mapper=losing(range(10**6)))
 
 
 def test_a_set_that_was_cut_off_is_continued_and_comes_out_the_same(small, tmp_path):
@@ -143,6 +180,7 @@ def test_heaps_of_other_objects_are_refused(small, boxes):
         ({"drop": "throw"}, "'throw'.*wall, open"),
         ({"heaps": 4}, "multiple of 3"),
         ({"camera": "side"}, "'side'"),
+        ({"counts": (5, 5), "heaps": 4}, "each number once"),
         ({"least": 0.9, "most": 0.1}, "least < most"),
     ],
 )

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from mechsearch.train.expert import (
     spread_over_counts,
 )
 from mechsearch.types import ACTOR_KEYS, MechSearchError
+from mechsearch.workers import Failure
 
 
 @pytest.fixture
@@ -93,3 +95,13 @@ def test_demonstrations_are_recorded_once_and_the_same_again(heap_file, tmp_path
     other = replace(config, seed=1)
     with pytest.raises(MechSearchError, match="seed 0"):
         demonstrate(other, tmp_path / "one")
+
+
+def test_a_heap_that_kills_two_workers_counts_as_failed_and_its_file_says_why(heap_file, tmp_path):
+    def deadly(function, inputs, workers, time_limit, instead):
+        return (instead(name, Failure("worker died")) for name in inputs)
+
+    store = demonstrate(DemonstrateConfig(heap_file), tmp_path / "one", mapper=deadly)
+    assert sorted(failed(store.path)) == ["0-000000", "0-000001"]
+    record = json.loads((store.path / "0-000000.failed.json").read_text())
+    assert record == {"simulated_actions": 0, "failure": "worker died"}

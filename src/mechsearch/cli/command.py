@@ -1,6 +1,7 @@
 """What every command is: options that parse themselves, and a run."""
 
-import os
+import importlib
+import importlib.util
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,12 +14,12 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.parallel import Progress
+from mechsearch.parallel import PROCESSORS, Mapper, Progress, map_in_order
 from mechsearch.train.progress import progress_bars
 from mechsearch.types import MechSearchError
 
-WORKERS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-"""Processors that this process may use."""
+WORKERS = PROCESSORS
+"""Processes, unless a command says otherwise."""
 
 
 class Command:
@@ -46,6 +47,28 @@ def bars() -> Iterator[Progress]:
             opened[0](label, done, total)
 
         yield progress
+
+
+@contextmanager
+def spread(workers: int, ray: bool, address: str) -> Iterator[tuple[int, Mapper]]:
+    """Yield the number of workers and the map: of this machine, or of a Ray cluster.
+
+    Args:
+        workers: Processes on this machine.
+        ray: Whether to use Ray; its cluster is this machine alone without an address.
+        address: Of a cluster, all of whose processors are used.
+
+    Raises:
+        MechSearchError: If Ray is not installed, or there is no such cluster.
+    """
+    if not ray and not address:
+        yield workers, map_in_order
+        return
+    if importlib.util.find_spec("ray") is None:
+        raise MechSearchError("--ray and --ray-address need Ray: install mechsearch[ray]")
+    cluster = importlib.import_module("mechsearch.experiments.cluster")
+    with cluster.connected(address, workers) as processors:
+        yield processors, cluster.ray_map
 
 
 def objects_of(heap_set: HeapSet, named: str) -> ObjectSet:

@@ -8,12 +8,13 @@ from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS, score
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.parallel import Mapper
 from mechsearch.report import tables
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.report.page import pictured
@@ -39,6 +40,8 @@ class Evaluate(Command):
         seed: Of the policies' own randomness; all start alike.
         camera: View; the one that the policy was trained with, or else the heap set's.
         workers: Processes; the scores do not depend on their number.
+        ray: Spread the work by Ray instead.
+        ray_address: Of a Ray cluster, all of whose processors work; "auto" finds one that runs.
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
         brief: Print the main scores alone.
@@ -56,6 +59,8 @@ class Evaluate(Command):
     seed: int = 0
     camera: str = ""
     workers: int = WORKERS
+    ray: bool = False
+    ray_address: str = ""
     summary: Path | None = None
     experiment: str = "main"
     brief: bool = False
@@ -69,22 +74,25 @@ class Evaluate(Command):
         for policy in self.policies:
             make_policy(policy)
         evaluations = []
-        for policy in self.policies:
-            plan = EvaluationPlan(
-                policy,
-                self.heaps,
-                name=self.name,
-                objects=self.objects,
-                split=self.split,
-                limit=self.limit,
-                seed=self.seed,
-                camera=self.camera,
-            )
-            evaluations.append(record(plan, self.out, self.workers))
-            if self.summary:
-                summary.merge(self.summary, summary_rows(self.experiment, evaluations[-1]))
+        with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
+            for policy in self.policies:
+                evaluations.append(record(self._plan(policy), self.out, workers, mapper))
+                if self.summary:
+                    summary.merge(self.summary, summary_rows(self.experiment, evaluations[-1]))
         self._print(named(evaluations))
         wrote(self.out)
+
+    def _plan(self, policy: str) -> EvaluationPlan:
+        return EvaluationPlan(
+            policy,
+            self.heaps,
+            name=self.name,
+            objects=self.objects,
+            split=self.split,
+            limit=self.limit,
+            seed=self.seed,
+            camera=self.camera,
+        )
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
@@ -93,6 +101,9 @@ class Evaluate(Command):
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]
         say("\n".join(map(tables.to_text, shown)))
+        for name, evaluation in evaluations.items():
+            for lost in evaluation.header.get("quarantined", ()):
+                say(f"{name}: heap {lost['heap']} is left out, it failed twice: {lost['reason']}")
         say(tables.NOTE)
 
 
@@ -156,10 +167,10 @@ class Show(Command):
         return found[0]
 
 
-def record(plan: EvaluationPlan, folder: Path, workers: int) -> Evaluation:
+def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> Evaluation:
     """Carry out a plan with a progress bar, and write its episodes into a folder."""
     with bars() as progress:
-        evaluation = evaluate(plan, workers, progress)
+        evaluation = evaluate(plan, workers, progress, mapper)
     episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
     return evaluation
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
 from mechsearch.heaps.dataset import HeapSet, load, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.heaps.heap import Heap
@@ -24,6 +24,8 @@ class Generate(Command):
         out: Heap set to write (.parquet).
         config: What to generate.
         workers: Processes; the heaps do not depend on their number.
+        ray: Spread the work by Ray instead.
+        ray_address: Of a Ray cluster, all of whose processors work; "auto" finds one that runs.
     """
 
     out: Path
@@ -31,12 +33,18 @@ class Generate(Command):
         default_factory=GenerateConfig
     )
     workers: int = WORKERS
+    ray: bool = False
+    ray_address: str = ""
 
     def run(self) -> None:
         """Generate and write the heap set."""
-        with bars() as progress:
-            heap_set = generate(self.config, self.out, self.workers, progress)
+        crew = spread(self.workers, self.ray, self.ray_address)
+        with crew as (workers, mapper), bars() as progress:
+            heap_set = generate(self.config, self.out, workers, progress, mapper)
         say(describe(heap_set))
+        for count, lost in heap_set.manifest.get("lost_attempts", {}).items():
+            for number, reason in lost.items():
+                say(f"drop {number} of {count} objects is left out, it failed twice: {reason}")
         wrote(self.out)
 
 

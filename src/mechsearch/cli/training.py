@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.evaluation.look_ahead import LookAheadConfig
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
@@ -159,6 +159,8 @@ class Demonstrate(Command):
         seed: Of the starting positions.
         look_ahead: How far to look.
         workers: Processes; the demonstrations do not depend on their number.
+        ray: Spread the work by Ray instead.
+        ray_address: Of a Ray cluster, all of whose processors work; "auto" finds one that runs.
     """
 
     heaps: Path
@@ -170,6 +172,8 @@ class Demonstrate(Command):
     seed: int = 0
     look_ahead: LookAheadConfig = field(default_factory=LookAheadConfig)
     workers: int = WORKERS
+    ray: bool = False
+    ray_address: str = ""
 
     def run(self) -> None:
         """Record the demonstrations, and say how many succeeded."""
@@ -183,8 +187,9 @@ class Demonstrate(Command):
             seed=self.seed,
             look_ahead=self.look_ahead,
         )
-        with bars() as progress:
-            store = demonstrate(config, self.out, self.workers, progress)
+        crew = spread(self.workers, self.ray, self.ray_address)
+        with crew as (workers, mapper), bars() as progress:
+            store = demonstrate(config, self.out, workers, progress, mapper)
         shown, lost = store.names(), failed(self.out)
         say(f"{len(shown)} demonstrations; on {len(lost)} heaps no push succeeded")
         wrote(self.out)

@@ -1,11 +1,15 @@
-"""One function that makes any environment from names and files."""
+"""Functions that make any environment, or many, from names and files."""
 
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from gymnasium.vector import AutoresetMode
+
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.vector import VectorHeapEnv
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.heaps.heap import check_condition
 from mechsearch.objects.catalog import load_object_set
@@ -57,3 +61,25 @@ def make_env(
             f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
         )
     return HeapEnv(chosen[split], object_set, replace(base, **settings), render_mode)
+
+
+def make_vector_env(
+    num_envs: int = 1,
+    workers: int | None = None,
+    time_limit: float = 60.0,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    **task: Any,
+) -> VectorHeapEnv:
+    """Return many environments in worker processes.
+
+    Args:
+        num_envs: Environments.
+        workers: Processes; as many as there are processors, or environments, by default.
+        time_limit: Time after which an action or a reset hangs [s].
+        autoreset_mode: SAME_STEP or DISABLED; see `VectorHeapEnv`.
+        task: What `make_env` takes.
+
+    Raises:
+        MechSearchError: If a name, number or setting is wrong, or heaps and objects do not fit.
+    """
+    return VectorHeapEnv(partial(make_env, **task), num_envs, workers, time_limit, autoreset_mode)

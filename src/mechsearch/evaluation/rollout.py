@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -16,10 +15,14 @@ from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.parallel import Progress, map_in_order, silent
-from mechsearch.types import MechSearchError, Policy, select
+from mechsearch.parallel import Mapper, Progress, map_in_order, silent
+from mechsearch.types import Array, MechSearchError, Observation, Policy, select
+from mechsearch.workers import Failure
 
 SPLITS = ("held-out", "train", "all")
+
+EPISODE_LIMIT = 600.0
+"""Time after which an episode hangs [s]; it takes a few seconds."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def run_episode(
     policy.reset(np.random.default_rng([seed, heap.seed]))
     states, actions, infos = [env.state], [], [{"end": None}]
     while infos[-1]["end"] is None:
-        action = policy.act(select(obs, policy.keys))
+        action = _act(policy, obs, name)
         obs, _, _, _, info = env.step(action)
         actions.append(np.asarray(action, np.float32))
         infos.append(info)
@@ -131,33 +134,63 @@ def run_episode(
     )
 
 
-def evaluate(plan: EvaluationPlan, workers: int = 1, progress: Progress = silent) -> Evaluation:
+def _act(policy: Policy, obs: Observation, name: str) -> Array:
+    """Return the policy's action; what it raises is its own fault and not the heap's."""
+    seen = select(obs, policy.keys)
+    try:
+        return policy.act(seen)
+    except MechSearchError:
+        raise
+    except Exception as error:
+        raise MechSearchError(f"policy {name} raised {type(error).__name__}: {error}") from error
+
+
+def evaluate(
+    plan: EvaluationPlan,
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
+) -> Evaluation:
     """Return all episodes of a plan, the same whatever the number of workers.
 
-    A worker process that dies costs time only: the episodes it owed are run again.
+    A worker process that dies or hangs costs time only: its episode is run again. A heap that fails
+    twice is quarantined: `quarantined` in the header has its seed and the reason, and `heaps` there
+    is the number of episodes and quarantined heaps together.
+
+    Args:
+        plan: Policy, heaps and task.
+        workers: Number of processes.
+        progress: Told after each episode.
+        mapper: How the episodes are spread.
 
     Raises:
-        MechSearchError: If the plan cannot be carried out, or workers keep dying.
+        MechSearchError: If the plan cannot be carried out, or no episode could be run.
     """
     # Files may have changed since an equal plan was carried out in this process.
     _prepared.cache_clear()
     env, heap_set, indices, policy = _prepared(plan)
     name = plan.title
     records: list[EpisodeRecord] = []
-    dead_at = -1
-    while len(records) < len(indices):
-        try:
-            for record in map_in_order(_Episode(plan, name), indices[len(records) :], workers):
-                records.append(record)
-                progress(name, len(records), len(indices))
-        except BrokenProcessPool:
-            if dead_at == len(records):
-                raise MechSearchError(
-                    f"worker processes died twice after {dead_at} of {len(indices)} episodes, "
-                    f"perhaps for lack of memory; try fewer than {workers} workers"
-                ) from None
-            dead_at = len(records)
-    return Evaluation(_header(plan, env, heap_set, policy), tuple(records))
+    quarantined: list[dict[str, Any]] = []
+    results = mapper(_Episode(plan, name), indices, workers, EPISODE_LIMIT, _quarantine)
+    for i, (index, result) in enumerate(zip(indices, results, strict=True)):
+        if isinstance(result, Failure):
+            quarantined.append({"heap": env.heaps[index].seed, "reason": result.reason})
+        else:
+            records.append(result)
+        progress(name, i + 1, len(indices))
+    if not records:
+        first = quarantined[0]
+        raise MechSearchError(
+            f"all {len(indices)} heaps failed twice; the first, {first['heap']}: {first['reason']}"
+        )
+    header = _header(plan, env, heap_set, policy)
+    header |= {"heaps": len(indices), "quarantined": quarantined}
+    return Evaluation(header, tuple(records))
+
+
+def _quarantine(index: int, failure: Failure) -> Failure:
+    return failure
 
 
 @dataclass(frozen=True)
@@ -167,7 +200,7 @@ class _Episode:
     plan: EvaluationPlan
     name: str
 
-    def __call__(self, index: int) -> EpisodeRecord:
+    def __call__(self, index: int) -> EpisodeRecord | Failure:
         env, _, _, policy = _prepared(self.plan)
         return run_episode(policy, env, index, self.plan.seed, self.name)
 

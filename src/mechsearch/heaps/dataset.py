@@ -22,8 +22,13 @@ from mechsearch.render.visibility import occlusion
 from mechsearch.runs import write_whole
 from mechsearch.sim.settle import REST_LIMIT, drift
 from mechsearch.types import MechSearchError
+from mechsearch.workers import Failure
 
 FORMAT = 1
+
+CHECK_LIMIT = 300.0
+"""Time after which the check of a heap hangs [s]."""
+
 _SCHEMA = pa.schema(
     [
         ("objects", pa.list_(pa.string())),
@@ -192,6 +197,13 @@ class _CheckHeap:
         return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
 
 
+def _unverified(heap: Heap, failure: Failure) -> Check:
+    """Return the check of a heap that workers died of or hung in."""
+    if failure.error is not None:
+        raise failure.error
+    return Check(heap.seed, float("inf"), float("nan"))
+
+
 def verify(
     heap_set: HeapSet, objects: str, workers: int = 1, progress: Progress = silent
 ) -> Iterator[Check]:
@@ -208,6 +220,7 @@ def verify(
     """
     check_objects(heap_set, object_set(objects))
     check = _CheckHeap(objects, heap_set.camera)
-    for i, result in enumerate(map_in_order(check, heap_set.heaps, workers)):
+    checks = map_in_order(check, heap_set.heaps, workers, CHECK_LIMIT, _unverified)
+    for i, result in enumerate(checks):
         progress("verified", i + 1, len(heap_set.heaps))
         yield result

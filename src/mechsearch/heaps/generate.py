@@ -5,19 +5,21 @@ taken in their order, so a heap set does not depend on the number of workers.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mechsearch.camera import preset
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
-from mechsearch.heaps.dataset import FORMAT, HeapSet, heap_from_json, heap_to_json, object_set, save
+from mechsearch.heaps.dataset import FORMAT, HeapSet, object_set, save
 from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
+from mechsearch.heaps.quota import Drop, Quota, drops_until_full
 from mechsearch.objects.catalog import set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.parallel import Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.runs import append_line, read_json, read_lines, write_json, write_whole
@@ -26,8 +28,12 @@ from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
 from mechsearch.sim.world import ENGINE_VERSION, World
 from mechsearch.types import Floats, MechSearchError
+from mechsearch.workers import Failure
 
 DROPS = ("wall", "open")
+
+ATTEMPT_LIMIT = 300.0
+"""Time after which an attempt hangs [s]; it takes a fraction of a second."""
 
 _DROPPING = PhysicsConfig(time_step=0.0075, contact_time=0.015, sleep_speed=0.0)
 """Coarser than an episode's physics, in which the rest of every accepted heap is measured."""
@@ -66,6 +72,8 @@ class GenerateConfig:
         preset(self.camera)
         if self.drop not in DROPS:
             raise MechSearchError(f"unknown drop {self.drop!r}; choose one of {', '.join(DROPS)}")
+        if len(set(self.counts)) < len(self.counts):
+            raise MechSearchError(f"counts are {self.counts}; expected each number once")
         quotas = len(self.object_counts)
         if self.heaps < 1 or self.heaps % quotas:
             raise MechSearchError(
@@ -84,9 +92,22 @@ class GenerateConfig:
 
 
 def generate(
-    config: GenerateConfig, path: Path, workers: int = 1, progress: Progress = silent
+    config: GenerateConfig,
+    path: Path,
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
 ) -> HeapSet:
     """Generate a heap set and write it to `path` (Parquet); continue if it was cut off.
+
+    An attempt that two workers died of, or hung in, is discarded; the manifest has its number.
+
+    Args:
+        config: What to generate.
+        path: Heap set to write.
+        workers: Number of processes.
+        progress: Told after each accepted heap.
+        mapper: How the attempts are spread.
 
     Raises:
         MechSearchError: If `path` holds another set, or the objects are too few.
@@ -100,23 +121,43 @@ def generate(
         )
     journal = _open_journal(config, objects, path)
     quota = config.heaps // len(config.object_counts)
-    heaps: list[Heap] = []
-    attempts: dict[int, int] = {}
-    for count in config.object_counts:
-        found, attempts[count] = _fill(config, count, quota, journal, workers, progress)
-        heaps += _hold_out_half(found)
+    quotas = {count: Quota(count, quota) for count in config.object_counts}
+    for row in sorted(read_lines(journal), key=lambda row: int(row["number"])):
+        quotas[row["count"]].resume(row)
+    for one in quotas.values():
+        progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
+    drops = drops_until_full(quotas.values())
+    for drop in mapper(_Attempt(config), drops, workers, ATTEMPT_LIMIT, _lost):
+        one = quotas[drop.count]
+        if one.full:
+            continue
+        append_line(journal, drop.row())
+        one.add(drop)
+        if drop.heap is not None:
+            progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
+        if all(one.full for one in quotas.values()):
+            break
+    heap_set = save(path, *_collected(config, objects, list(quotas.values())))
+    journal.unlink()
+    journal.with_suffix(".json").unlink()
+    return heap_set
+
+
+def _collected(
+    config: GenerateConfig, objects: ObjectSet, quotas: Sequence[Quota]
+) -> tuple[list[Heap], dict[str, Any]]:
+    """Return all heaps and their manifest."""
+    heaps = [heap for quota in quotas for heap in _hold_out_half(quota.heaps)]
     manifest = {
         "format": FORMAT,
         "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
         "engine": ENGINE_VERSION,
         "object_hashes": set_hashes(objects),
-        "attempts": {str(count): number for count, number in attempts.items()},
-        "acceptance_rate": len(heaps) / max(sum(attempts.values()), 1),
+        "attempts": {str(quota.count): quota.tried for quota in quotas},
+        "acceptance_rate": len(heaps) / max(sum(quota.tried for quota in quotas), 1),
     }
-    heap_set = save(path, heaps, manifest)
-    journal.unlink()
-    journal.with_suffix(".json").unlink()
-    return heap_set
+    lost = {str(quota.count): quota.lost for quota in quotas if quota.lost}
+    return heaps, manifest | ({"lost_attempts": lost} if lost else {})
 
 
 def attempt(config: GenerateConfig, objects: ObjectSet, count: int, number: int) -> Heap | None:
@@ -212,52 +253,22 @@ def _drop(
     return world.poses
 
 
-def _fill(
-    config: GenerateConfig, count: int, quota: int, journal: Path, workers: int, progress: Progress
-) -> tuple[list[Heap], int]:
-    """Return the first `quota` accepted heaps of one count, and the attempts they took."""
-    label = f"{config.condition} heaps of {count}"
-    done = {row["number"]: row["heap"] for row in read_lines(journal) if row["count"] == count}
-    heaps: list[Heap] = []
-    tried = 0
-    while tried in done and len(heaps) < quota:
-        if done[tried] is not None:
-            heaps.append(heap_from_json(done[tried]))
-        tried += 1
-    progress(label, len(heaps), quota)
-    if len(heaps) == quota:
-        return heaps, tried
-    for heap in map_in_order(_Attempt(config, count), _numbers(tried), workers):
-        append_line(journal, {"count": count, "number": tried, "heap": heap and heap_to_json(heap)})
-        tried += 1
-        if heap is not None:
-            heaps.append(heap)
-            progress(label, len(heaps), quota)
-        if len(heaps) == quota:
-            break
-        if tried >= 200 and len(heaps) < tried / 200:
-            raise MechSearchError(
-                f"only {len(heaps)} of {tried} drops of {count} objects were accepted; these "
-                "objects hardly ever hide each other under these conditions"
-            )
-    return heaps, tried
-
-
 @dataclass(frozen=True)
 class _Attempt:
     """`attempt` with its first arguments bound, for worker processes."""
 
     config: GenerateConfig
-    count: int
 
-    def __call__(self, number: int) -> Heap | None:
-        return attempt(self.config, object_set(self.config.objects), self.count, number)
+    def __call__(self, drop: Drop) -> Drop:
+        objects = object_set(self.config.objects)
+        return replace(drop, heap=attempt(self.config, objects, drop.count, drop.number))
 
 
-def _numbers(start: int) -> Iterator[int]:
-    while True:
-        yield start
-        start += 1
+def _lost(drop: Drop, failure: Failure) -> Drop:
+    """Discard an attempt that workers died of; what the attempt raises is an error of ours."""
+    if failure.error is not None:
+        raise failure.error
+    return replace(drop, lost=failure.reason)
 
 
 def _hold_out_half(heaps: list[Heap]) -> list[Heap]:

@@ -10,12 +10,16 @@ import numpy as np
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig
 from mechsearch.heaps.dataset import check_objects, load, object_set
-from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.parallel import Mapper, Progress, map_in_order, silent
 from mechsearch.runs import write_json
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.types import Observation
+from mechsearch.workers import Failure
 
 FAILED = ".failed.json"
+
+HEAP_LIMIT = 1800.0
+"""Time after which planning on one heap hangs [s]; it takes up to a minute."""
 
 
 class LookAheadExpert:
@@ -77,9 +81,22 @@ class DemonstrateConfig:
 
 
 def demonstrate(
-    config: DemonstrateConfig, path: Path, workers: int = 1, progress: Progress = silent
+    config: DemonstrateConfig,
+    path: Path,
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
 ) -> DemonstrationStore:
     """Record demonstrations into a folder; heaps that are there already are not tried again.
+
+    A heap that two workers died of, or hung in, counts as failed, and its file says why.
+
+    Args:
+        config: Which to record.
+        path: Folder to write.
+        workers: Number of processes.
+        progress: Told after each heap.
+        mapper: How the heaps are spread.
 
     Raises:
         MechSearchError: If heaps and objects do not fit, or the folder is of another heap set.
@@ -107,14 +124,24 @@ def demonstrate(
     todo = [name for name in names if name not in done]
     progress("demonstrated heaps", len(names) - len(todo), len(names))
     work = _Demonstrate(config)
-    results = map_in_order(work, todo, workers)
-    for i, (name, (demonstration, simulated)) in enumerate(zip(todo, results, strict=True)):
-        if demonstration is None:
-            write_json(path / f"{name}{FAILED}", {"simulated_actions": simulated})
+    results = mapper(work, todo, workers, HEAP_LIMIT, _lost)
+    for i, (name, result) in enumerate(zip(todo, results, strict=True)):
+        if isinstance(result, Failure):
+            lost = {"simulated_actions": 0, "failure": result.reason}
+            write_json(path / f"{name}{FAILED}", lost)
+        elif result[0] is None:
+            write_json(path / f"{name}{FAILED}", {"simulated_actions": result[1]})
         else:
-            store.write(name, demonstration)
+            store.write(name, result[0])
         progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
     return store
+
+
+def _lost(name: str, failure: Failure) -> Failure:
+    """Go on without a heap that workers died of; what planning raises is an error of ours."""
+    if failure.error is not None:
+        raise failure.error
+    return failure
 
 
 def failed(path: Path) -> list[str]:
@@ -138,7 +165,7 @@ class _Demonstrate:
 
     config: DemonstrateConfig
 
-    def __call__(self, name: str) -> tuple[Demonstration | None, int]:
+    def __call__(self, name: str) -> tuple[Demonstration | None, int] | Failure:
         start, heap = (int(part) for part in name.split("-"))
         env, expert = _workshop(self.config)
         seed = int(np.random.default_rng([self.config.seed, start, heap]).integers(2**31))

@@ -1,0 +1,206 @@
+"""A process of our own that answers requests in turn, and that may die, hang or fail."""
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
+from typing import Any, NamedTuple
+
+from mechsearch.types import MechSearchError
+
+START_LIMIT = 300.0
+"""A worker that has not started after this long hangs [s]; imports are slow on a busy machine."""
+
+STARTS = 3
+"""Failed starts in a row after which no more are tried."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a request has no result.
+
+    Attributes:
+        reason: "worker died", "worker hung" or "worker raised: ...".
+        error: What was raised, if anything.
+    """
+
+    reason: str
+    error: Exception | None = None
+
+    @classmethod
+    def of(cls, error: Exception) -> "Failure":
+        """Return the failure that an exception is; the exception keeps its own traceback's text."""
+        text = "".join(traceback.format_exception(error))
+        error.add_note(f"In the worker:\n{text}")
+        return cls(f"worker raised: {type(error).__name__}: {error}", error)
+
+
+class Asked(NamedTuple):
+    """A request that is not yet answered: what it is known by, and its time limit [s]."""
+
+    key: int
+    limit: float | None
+
+
+class Reply(NamedTuple):
+    """What became of a request; `key` is None where a worker failed while nobody's turn it was."""
+
+    worker: "Worker"
+    key: int | None
+    value: Any
+
+
+class Worker:
+    """A process that makes a function once, and then applies it to one request after another.
+
+    Attributes:
+        asked: Requests without a reply, the one that is being worked on first.
+        alive: Whether it may be asked; once it is not, it must be replaced.
+    """
+
+    def __init__(self, make: Callable[[], Callable[[Any], Any]], failed_starts: int = 0) -> None:
+        """Start the process (by spawning).
+
+        Args:
+            make: Called in the process; returns what answers the requests. Must pickle.
+            failed_starts: How many predecessors in a row did not start.
+        """
+        context = multiprocessing.get_context("spawn")
+        self._make, self._failed_starts = make, failed_starts
+        self._started = False
+        self.pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(make, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.asked: deque[Asked] = deque()
+        self.alive = True
+        self._since = time.monotonic()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid or 0
+
+    @property
+    def deadline(self) -> float:
+        """When it has used up its time, on the monotonic clock; infinite without a limit."""
+        if not self._started:
+            return self._since + START_LIMIT
+        limit = self.asked[0].limit if self.asked else None
+        return float("inf") if limit is None else self._since + limit
+
+    def ask(self, key: int, request: Any, limit: float | None = None) -> None:
+        """Send a request.
+
+        Args:
+            key: Returned with the reply.
+            request: Handed to the function; must pickle.
+            limit: Time that the answer may take, from its turn on [s].
+        """
+        if self._started and not self.asked:
+            self._since = time.monotonic()
+        self.asked.append(Asked(key, limit))
+        data = ForkingPickler.dumps(request)
+        with suppress(OSError):  # If it has died since, the end of its pipe will say so.
+            self.pipe.send_bytes(data)
+
+    def reply(self) -> Reply | None:
+        """Return what there is to tell after `wait`; None for a worker that has just started."""
+        try:
+            value = self.pipe.recv()
+        except (EOFError, OSError):
+            return self.fail("worker died")
+        self._since = time.monotonic()
+        if not self._started:
+            self._started, self._failed_starts = True, 0
+            return None
+        return Reply(self, self.asked.popleft().key, value)
+
+    def fail(self, reason: str) -> Reply:
+        """End the process; the request whose turn it was has failed."""
+        self.stop()
+        at_work = self._started and self.asked
+        return Reply(self, self.asked.popleft().key if at_work else None, Failure(reason))
+
+    def replace(self) -> "Worker":
+        """Return a new worker in the place of this one, which is asked nothing yet.
+
+        Raises:
+            MechSearchError: If workers do not start at all.
+        """
+        failed = 0 if self._started else self._failed_starts + 1
+        if failed == STARTS:
+            raise MechSearchError(
+                f"worker processes do not start, tried {STARTS} times; a script that uses them "
+                'needs `if __name__ == "__main__":` around what it does'
+            )
+        return Worker(self._make, failed)
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        self.alive = False
+        self.pipe.close()
+        self._process.kill()
+        self._process.join()
+
+
+def replies(workers: Sequence[Worker]) -> Iterator[Reply]:
+    """Wait until one of the workers has answered, died, or used up its time; yield what is there.
+
+    Args:
+        workers: All alive.
+    """
+    by_pipe: dict[Any, Worker] = {worker.pipe: worker for worker in workers}
+    first = min(worker.deadline for worker in workers)
+    timeout = None if first == float("inf") else max(0.0, first - time.monotonic())
+    ready = {by_pipe[pipe] for pipe in wait(list(by_pipe), timeout)}
+    for worker in workers:
+        if worker in ready:
+            reply = worker.reply()
+            if reply is not None:
+                yield reply
+        elif worker.deadline <= time.monotonic():
+            yield worker.fail("worker hung")
+
+
+def _serve(make: Callable[[], Callable[[Any], Any]], pipe: Connection) -> None:
+    """Answer requests until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    answer = make()
+    try:
+        pipe.send(None)
+        while True:
+            pipe.send_bytes(_answered(answer, pipe.recv()))
+    except (EOFError, ConnectionError):
+        return
+
+
+def _answered(answer: Callable[[Any], Any], request: Any) -> Any:
+    """Return the pickled answer, or the pickled failure."""
+    try:
+        return ForkingPickler.dumps(answer(request))
+    except Exception as error:  # noqa: BLE001
+        failure = Failure.of(error)
+    try:
+        data = ForkingPickler.dumps(failure)
+        ForkingPickler.loads(data)
+        return data
+    except Exception:  # noqa: BLE001
+        return ForkingPickler.dumps(Failure(failure.reason, RuntimeError(failure.reason)))
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent is gone, even in the middle of something."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
