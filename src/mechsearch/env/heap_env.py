@@ -160,6 +160,11 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         return self.heaps[self._heap_index]
 
     @property
+    def world(self) -> World:
+        """The physics of the current episode, for measurements; stepping it is cheating."""
+        return self._world
+
+    @property
     def state(self) -> HeapState:
         """The true state."""
         return HeapState(self._poses.copy(), self._world.pusher_position, self._occlusion)
