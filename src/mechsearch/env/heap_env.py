@@ -301,7 +301,8 @@ class HeapEnv(gymnasium.Env[Any, Array]):
     def _update_poses(self) -> None:
         """Take the objects' new poses; those that left the table stay where they left it."""
         poses = self._world.poses
-        poses[~self._present] = self._poses[~self._present]
+        if not self._present.all():
+            poses[~self._present] = self._poses[~self._present]
         gone = self._present & self.config.workspace.off_table(poses)
         for index in np.flatnonzero(gone):
             self._world.remove(int(index))
