@@ -51,7 +51,7 @@ def test_results_keep_the_order_of_the_inputs_and_no_process_stays(tmp_path):
 @pytest.mark.parametrize("trouble", [{"die_on": 5}, {"hang_on": 0}, {"raise_on": 11}])
 def test_trouble_costs_the_repetition_of_its_input_alone(tmp_path, trouble):
     square = Square(tmp_path, **trouble)
-    assert list(map_in_order(square, range(12), 2, time_limit=2.0)) == SQUARES
+    assert list(map_in_order(square, range(12), 2, time_limit=3.0)) == SQUARES
     (troubled,) = trouble.values()
     assert [square.tries(n) for n in range(12)] == [1 + (n == troubled) for n in range(12)]
 
@@ -72,7 +72,7 @@ def test_what_fails_twice_is_replaced_as_the_caller_chooses(tmp_path, trouble, r
         found.append((item, failure.reason))
         return -1
 
-    results = list(map_in_order(square, range(8), 2, time_limit=1.0, instead=instead))
+    results = list(map_in_order(square, range(8), 2, time_limit=3.0, instead=instead))
     assert results == [n**2 if n != 5 else -1 for n in range(8)]
     assert found == [(5, reason)]
     assert square.tries(5) == 2

@@ -86,7 +86,7 @@ def test_a_worker_that_never_starts_blames_no_request_and_is_replaced_a_few_time
         worker = worker.replace()
         worker.ask(1, None)
     list(replies([worker]))
-    with pytest.raises(MechSearchError, match="do not start, tried 3 times"):
+    with pytest.raises(MechSearchError, match="do not start, tried 3 times, exit code 1"):
         worker.replace()
 
 

@@ -19,8 +19,11 @@ from mechsearch.types import MechSearchError
 START_LIMIT = 300.0
 """A worker that has not started after this long hangs [s]; imports are slow on a busy machine."""
 
-STARTS = 3
-"""Failed starts in a row after which no more are tried."""
+STARTS = 10
+"""Starts in a row that may fail, because the process was killed or hung."""
+
+EXITS = 3
+"""Starts in a row that may fail because the process ended by itself, as it always will."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +69,17 @@ class Worker:
         alive: Whether it may be asked; once it is not, it must be replaced.
     """
 
-    def __init__(self, make: Callable[[], Callable[[Any], Any]], failed_starts: int = 0) -> None:
+    def __init__(
+        self, make: Callable[[], Callable[[Any], Any]], failed_starts: Sequence[int] = ()
+    ) -> None:
         """Start the process (by spawning).
 
         Args:
             make: Called in the process; returns what answers the requests. Must pickle.
-            failed_starts: How many predecessors in a row did not start.
+            failed_starts: Exit codes of the predecessors in a row that did not start.
         """
         context = multiprocessing.get_context("spawn")
-        self._make, self._failed_starts = make, failed_starts
+        self._make, self._failed_starts = make, tuple(failed_starts)
         self._started = False
         self.pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(make, theirs), daemon=True)
@@ -117,10 +122,11 @@ class Worker:
         try:
             value = self.pipe.recv()
         except (EOFError, OSError):
+            self._process.join(1.0)
             return self.fail("worker died")
         self._since = time.monotonic()
         if not self._started:
-            self._started, self._failed_starts = True, 0
+            self._started = True
             return None
         return Reply(self, self.asked.popleft().key, value)
 
@@ -136,11 +142,12 @@ class Worker:
         Raises:
             MechSearchError: If workers do not start at all.
         """
-        failed = 0 if self._started else self._failed_starts + 1
-        if failed == STARTS:
+        failed = () if self._started else (*self._failed_starts, self._process.exitcode or 0)
+        if len(failed) == STARTS or sum(code >= 0 for code in failed) == EXITS:
             raise MechSearchError(
-                f"worker processes do not start, tried {STARTS} times; a script that uses them "
-                'needs `if __name__ == "__main__":` around what it does'
+                f"worker processes do not start, tried {len(failed)} times, exit code "
+                f"{failed[-1]}; a script that uses them needs `if __name__ == '__main__':` around "
+                "what it does"
             )
         return Worker(self._make, failed)
 

@@ -151,7 +151,7 @@ def test_a_failing_worker_costs_one_episode_and_the_others_go_on(make, trouble, 
     heaps = info["heap"].tolist()
     lost = next(i for i in range(4) if heaps.count(heaps[i]) == 1)
     trouble(how, SEEDS[heaps[lost]], at=2, times=1)
-    with closing(VectorHeapEnv(make, 4, 2, time_limit=2.0, autoreset_mode="Disabled")) as envs:
+    with closing(VectorHeapEnv(make, 4, 2, time_limit=4.0, autoreset_mode="Disabled")) as envs:
         pids = envs.pids
         envs.reset(seed=5)
         first, second = (envs.step(batch) for batch in actions(4, 4)[:2])
