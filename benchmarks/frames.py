@@ -44,7 +44,7 @@ def _frame_times(episode: Episode, camera: Camera) -> tuple[float, float]:
             poses, tip = episode.poses[index], episode.ee_positions[index]
             world.reset(poses, tip)
             began = time.perf_counter()
-            renderer.frame(camera, poses, pusher.pose(tip))
+            _ = renderer.frame(camera, poses, pusher.pose(tip)).amodal
             between = time.perf_counter()
             view.images()
             view.amodal()

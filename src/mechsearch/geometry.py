@@ -1,5 +1,7 @@
 """Rigid transforms and quaternions. A pose is (7,): position [m], unit quaternion (w, x, y, z)."""
 
+from math import sqrt
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -94,5 +96,5 @@ def apply(transform: ArrayLike, points: ArrayLike) -> Floats:
 def cap_length(vector: ArrayLike, limit: float) -> Floats:
     """Return the vector (3,), shortened to `limit` where it is longer."""
     v = np.asarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(v))
+    length = sqrt(float(v @ v))
     return v if length <= limit else v * (limit / length)

@@ -127,6 +127,7 @@ def test_a_snapshot_continues_bit_by_bit(env):
 def test_a_target_off_the_table_is_lost_terminated_and_wholly_occluded(env):
     env.reset(options=FIXED)
     env._world.place(0, [0.5, 0, 0.1, 1, 0, 0, 0])
+    env._world._data.qvel[2] = -0.1
     _, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
     assert (terminated, truncated, info["end"]) == (True, False, "lost")
     assert info["occlusion"] == 1.0
@@ -136,6 +137,7 @@ def test_a_target_off_the_table_is_lost_terminated_and_wholly_occluded(env):
 def test_clutter_off_the_table_is_penalised_once_and_leaves_the_observation(env):
     env.reset(options=FIXED)
     env._world.place(2, [0.45, 0, 0.1, 1, 0, 0, 0])
+    env._world._data.qvel[6 * 2 + 2] = -0.1
     obs, _, _, _, info = env.step(np.zeros(3, np.float32))
     assert info["reward_terms"]["clutter_movement"] < -5
     assert obs["clutter_mask"].tolist() == [1, 0]
@@ -146,7 +148,7 @@ def test_clutter_off_the_table_is_penalised_once_and_leaves_the_observation(env)
 
 def test_a_simulator_failure_truncates_by_name_and_gives_no_reward(env):
     env.reset(options=FIXED)
-    env._world.place(2, [np.nan, 0, 0.1, 1, 0, 0, 0])
+    env._world._data.qvel[12] = np.nan
     obs, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["failure"] == "not a number"

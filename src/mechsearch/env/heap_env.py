@@ -211,15 +211,17 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         command = self._world.pusher_position + offset
         target = self.config.workspace.clip(command)
         before, poses, present = self._occlusion, self._poses, self._present
-        self._world.push(target)
+        simulated = self._world.push(target)
         self._actions += 1
-        failure = self._world.failure()
-        if failure is not None:
-            return self._end_of_failure(failure)
-        self._update_poses()
-        moved = np.linalg.norm(self._poses[:, :3] - poses[:, :3], axis=1) * present
+        if simulated:
+            failure = self._world.failure()
+            if failure is not None:
+                return self._end_of_failure(failure)
+            self._update_poses()
+        way = self._poses[:, :3] - poses[:, :3]
+        moved = np.sqrt((way * way).sum(axis=1)) * present
         clutter = moved[self._others]
-        if not np.array_equal(self._poses, poses):
+        if simulated and not np.array_equal(self._poses, poses):
             self._occlusion = self._measure_occlusion()
         reward = terms(
             before, self._occlusion, clutter, float(moved[self.heap.target]),
@@ -365,7 +367,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             "occlusion": self._occlusion,
             "end": end,
             "failure": failure,
-            "clutter_moved": float(np.mean(clutter)) if len(clutter) else 0.0,
+            "clutter_moved": float(clutter.sum()) / max(len(clutter), 1),
             "target_moved": target_moved,
         }
 
@@ -381,4 +383,4 @@ def _displacement(action: Array) -> Floats:
         raise MechSearchError(f"an action has shape (3,), in [-1, 1]; got shape {values.shape}")
     if not np.isfinite(values).all():
         raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
-    return cap_length(np.clip(values, -1.0, 1.0) * ACTION_LENGTH, ACTION_LENGTH)
+    return cap_length(np.minimum(np.maximum(values, -1.0), 1.0) * ACTION_LENGTH, ACTION_LENGTH)

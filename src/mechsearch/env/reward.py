@@ -66,7 +66,7 @@ NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0, 0.0)
 
 def uncovering_gain(before: float, after: float, least: float) -> float:
     """Return the relative change in occlusion, in [-1, 1]; positive when more is visible."""
-    return float(np.clip((before - after) / max(before, least), -1.0, 1.0))
+    return min(max((before - after) / max(before, least), -1.0), 1.0)
 
 
 def uncovering(gain: float, config: RewardConfig) -> float:
@@ -78,7 +78,7 @@ def clutter_movement(gain: float, moved: Array, config: RewardConfig) -> float:
     """Return the heap movement penalty; `moved` (N,) [m] are the non-target displacements."""
     if gain >= config.gain_that_excuses or not len(moved):
         return 0.0
-    return -config.movement * float(np.mean(moved))
+    return -config.movement * float(moved.sum()) / len(moved)
 
 
 def target_movement(moved: float, config: RewardConfig) -> float:

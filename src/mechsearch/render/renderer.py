@@ -6,6 +6,7 @@ amodal mask. What an object shows is kept until it moves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.body import NO_HIT, Body, body_of
-from mechsearch.render.view import Block, View
+from mechsearch.render.view import View
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -23,32 +24,40 @@ _FLOOR_COLOUR = np.array([90, 92, 96], np.float64)
 
 
 @dataclass(frozen=True)
+class Patch:
+    """What one body shows: distances (h, w) in some rows and columns of the frame."""
+
+    where: tuple[slice, slice]
+    depth: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Frame:
     """What one camera sees at one instant.
 
     Attributes:
         depth: Along the optical axis (H, W) float32 [m]; 0 where nothing is.
         ids: Object index of each pixel (H, W) int16; `BACKGROUND` or `PUSHER` elsewhere.
-        amodal: Whole projection of each object (N, H, W) bool, whatever hides it.
         rgb: Colour (H, W, 3) uint8, or None when not asked for.
+        patches: What each object alone would show.
     """
 
     depth: NDArray[np.float32]
     ids: NDArray[np.int16]
-    amodal: NDArray[np.bool_]
     rgb: NDArray[np.uint8] | None
+    patches: tuple[Patch, ...]
 
     def modal(self, index: int) -> NDArray[np.bool_]:
         """Return the visible pixels (H, W) of one object."""
         return np.asarray(self.ids == index, np.bool_)
 
-
-@dataclass(frozen=True)
-class _Patch:
-    """What one body shows: distances (h, w) in a block of pixels."""
-
-    block: Block
-    depth: NDArray[np.float32]
+    @cached_property
+    def amodal(self) -> NDArray[np.bool_]:
+        """Whole projection of each object (N, H, W), whatever hides it."""
+        masks = np.zeros((len(self.patches), *self.ids.shape), np.bool_)
+        for mask, patch in zip(masks, self.patches, strict=True):
+            mask[patch.where] = patch.depth < NO_HIT
+        return masks
 
 
 @dataclass
@@ -70,7 +79,7 @@ class _Seen:
     empty: NDArray[np.float32]
     colour: NDArray[np.uint8]
     poses: Array = field(default_factory=lambda: np.empty(0))
-    patches: list[_Patch] = field(default_factory=list)
+    patches: list[Patch] = field(default_factory=list)
     frame: Frame | None = None
 
 
@@ -124,7 +133,7 @@ class Renderer:
             _compose(depth, ids, shown, PUSHER)
         rgb = self._colours(seen, states, pusher, ids) if colour else None
         depth[depth > NO_HIT] = 0.0
-        return Frame(depth, ids, heap.amodal.copy(), rgb)
+        return Frame(depth, ids, rgb, heap.patches)
 
     def _looking(self, camera: Camera) -> _Seen:
         if camera not in self._seen:
@@ -136,7 +145,7 @@ class Renderer:
 
     def _heap(
         self, seen: _Seen, states: Floats, pusher: Array | None
-    ) -> tuple[Frame, _Patch | None]:
+    ) -> tuple[Frame, Patch | None]:
         """Return the objects without the pusher, and what the pusher shows.
 
         Nothing is cast for objects that lie as before.
@@ -162,11 +171,9 @@ class Renderer:
     def _composed(self, seen: _Seen) -> Frame:
         depth = seen.empty.copy()
         ids = np.full(depth.shape, BACKGROUND, np.int16)
-        amodal = np.zeros((len(self.bodies), *depth.shape), np.bool_)
         for i, patch in enumerate(seen.patches):
-            amodal[i][patch.block.of] = patch.depth < NO_HIT
             _compose(depth, ids, patch, i)
-        return Frame(depth, ids, amodal, None)
+        return Frame(depth, ids, None, tuple(seen.patches))
 
     def _colours(
         self, seen: _Seen, states: Floats, pusher: Array | None, ids: NDArray[np.int16]
@@ -200,11 +207,11 @@ class Renderer:
         return depth.astype(np.float32), colour.astype(np.uint8)
 
 
-def _nothing(seen: _Seen) -> _Patch:
-    return _Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])
+def _nothing(seen: _Seen) -> Patch:
+    return Patch((slice(0), slice(0)), seen.empty[:0, :0])
 
 
-def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[_Patch]:
+def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[Patch]:
     """Return what bodies at poses (N, 7) show in the frame."""
     shown = seen.view.appearances(bodies, poses)
     patches = []
@@ -213,17 +220,18 @@ def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[_Patch]:
         if block.empty:
             patches.append(_nothing(seen))
             continue
-        rays = seen.rays[block.of]
+        where = block.of
+        rays = seen.rays[where]
         depth = body.depths(shown.starts[i], rays.reshape(-1, 3), shown.rotations[i])
-        patches.append(_Patch(block, depth.reshape(rays.shape[:2])))
+        patches.append(Patch(where, depth.reshape(rays.shape[:2])))
     return patches
 
 
 def _compose(
-    depth: NDArray[np.float32], ids: NDArray[np.int16], patch: _Patch, identity: int
+    depth: NDArray[np.float32], ids: NDArray[np.int16], patch: Patch, identity: int
 ) -> None:
     """Draw a patch where it is nearer than what is there."""
-    part = depth[patch.block.of]
+    part = depth[patch.where]
     nearer = patch.depth < part
     np.copyto(part, patch.depth, where=nearer)
-    np.copyto(ids[patch.block.of], identity, where=nearer)
+    np.copyto(ids[patch.where], identity, where=nearer)

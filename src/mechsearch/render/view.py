@@ -32,15 +32,18 @@ class Block(NamedTuple):
     @property
     def of(self) -> tuple[slice, slice]:
         """Rows and columns, to index an image (H, W) with."""
-        return slice(self.top, self.bottom), slice(self.left, self.right)
+        top, bottom, left, right = self
+        return slice(top, bottom), slice(left, right)
 
     def within(self, other: "Block") -> "Block":
         """Return the overlap with another block, counted from that one's corner."""
+        top, bottom, left, right = self
+        first, last, start, end = other
         return Block(
-            max(self.top, other.top) - other.top,
-            min(self.bottom, other.bottom) - other.top,
-            max(self.left, other.left) - other.left,
-            min(self.right, other.right) - other.left,
+            (top if top > first else first) - first,
+            (bottom if bottom < last else last) - first,
+            (left if left > start else start) - start,
+            (right if right < end else end) - start,
         )
 
 
@@ -97,13 +100,14 @@ class View:
         # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
         local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)
         z = local[..., 2:]
-        pixels = local[..., 1::-1] / np.maximum(z, _NEAREST) * self._focal + self._principal
-        low = np.floor(pixels.min(axis=1)).astype(np.intp).tolist()
-        high = np.ceil(pixels.max(axis=1)).astype(np.intp).tolist()
+        near = z.min(initial=np.inf) < _NEAREST
+        depth = np.maximum(z, _NEAREST) if near else z
+        pixels = local[..., 1::-1] / depth * self._focal + self._principal
+        ends = np.concatenate([pixels.min(axis=1), -pixels.max(axis=1)], axis=1)
         blocks = [
-            Block(top, bottom + 1, left, right + 1)
-            for (top, left), (bottom, right) in zip(low, high, strict=True)
+            Block(top, 1 - bottom, left, 1 - right)
+            for top, left, bottom, right in np.floor(ends).astype(np.intp).tolist()
         ]
-        for i in np.flatnonzero(z.min(axis=(1, 2)) < _NEAREST).tolist():
+        for i in np.flatnonzero(z.min(axis=(1, 2)) < _NEAREST).tolist() if near else ():
             blocks[i] = self.frame
         return Appearances(blocks, starts.astype(np.float32), rotations.astype(np.float32))

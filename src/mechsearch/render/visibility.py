@@ -44,10 +44,10 @@ def occlusion(
         common = block.within(blocks[target])
         if i == target or common.empty:
             continue
-        open_ = seen[common.of]
+        where = common.of
+        open_ = seen[where]
         if open_.any():
-            nearer = cast(i, rays[common.of][open_]) < depth[common.of][open_]
-            open_[open_] = ~nearer
+            open_[open_] = cast(i, rays[where][open_]) >= depth[where][open_]
     return 1.0 - int(seen.sum()) / whole
 
 

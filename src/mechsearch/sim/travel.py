@@ -62,6 +62,8 @@ class Outlines:
     def boxes(self, poses: Floats) -> tuple[Floats, Floats]:
         """Return the lowest and highest corners (B, 3) [m] of all parts, objects at (N, 7)."""
         moved = (poses != self._poses).any(axis=1)
+        if not moved.any():
+            return self._low, self._high
         rotations = rotation_from_quaternion(poses[moved, 3:])
         for i, rotation in zip(np.flatnonzero(moved).tolist(), rotations, strict=True):
             points, rows = self._points[i] @ rotation.T + poses[i, :3], self._rows[i]

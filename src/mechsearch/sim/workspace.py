@@ -1,6 +1,7 @@
 """Where things are: the table and the box in which the end effector may move."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,14 @@ class Workspace:
 
     def clip(self, position: Array) -> Floats:
         """Return the nearest position (3,) [m] inside the bounds."""
-        return np.clip(
-            np.asarray(position, np.float64),
-            [-self.half, -self.half, self.low],
-            [self.half, self.half, self.high],
-        )
+        low, high = self._bounds
+        clipped: Floats = np.minimum(np.maximum(np.asarray(position, np.float64), low), high)
+        return clipped
+
+    @cached_property
+    def _bounds(self) -> tuple[Floats, Floats]:
+        low = np.array([-self.half, -self.half, self.low])
+        return low, np.array([self.half, self.half, self.high])
 
     def sample(self, rng: np.random.Generator) -> Floats:
         """Return a position (3,) [m] drawn uniformly from the bounds."""

@@ -106,12 +106,15 @@ class World:
         """Advance by a number of time steps."""
         mujoco.mj_step(self._model, self._data, steps)
 
-    def push(self, target: Array) -> None:
+    def push(self, target: Array) -> bool:
         """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time.
 
         Where the heap lies still, the pusher travels exactly, and the objects stay exactly, until
         it comes near the first of them: up to there is nothing to simulate. What follows depends
         on the state alone, as a snapshot holds it.
+
+        Returns:
+            Whether anything was simulated; if not, every object lies exactly where it lay.
         """
         config, goal = self.config, np.asarray(target, np.float64)
         start = self.pusher_position
@@ -126,6 +129,7 @@ class World:
             self._data.ctrl[:] = 0.0
             self._rest(config.steps - max(step, config.action_steps))
         self._data.time = ends
+        return step < config.steps
 
     def _free_steps(self, start: Floats, goal: Floats) -> int:
         """Return how many steps of an action towards `goal` nothing but the pusher moves."""
