@@ -148,7 +148,8 @@ def test_clutter_off_the_table_is_penalised_once_and_leaves_the_observation(env)
 
 def test_a_simulator_failure_truncates_by_name_and_gives_no_reward(env):
     env.reset(options=FIXED)
-    env._world._data.qvel[12] = np.nan
+    env._world.place(2, [np.nan, 0, 0.1, 1, 0, 0, 0])
+    env._world._data.qvel[12] = 0.1
     obs, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["failure"] == "not a number"
