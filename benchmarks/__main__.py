@@ -33,12 +33,15 @@ MEASUREMENTS = {
     "generation": "generation:measure",
     "updates": "updates:measure",
     "scaling": "scaling:measure",
+    "decisions": "decisions:measure",
+    "trust": "trust:measure",
     "heaps-4200": "end_to_end:measure_heaps",
     "train-8000": "end_to_end:measure_training",
 }
 ORDER = (
     "action-5", "action-10", "action-15", "workers", "vector", "frames", "heaps-per-second",
-    "heaps-4200", "updates", "train", "objects", "side",
+    "heaps-4200", "updates", "train", "physics", "frame-", "score",
+    "overlap", "objects", "side",
 )  # fmt: skip
 
 

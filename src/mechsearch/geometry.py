@@ -6,20 +6,29 @@ from numpy.typing import ArrayLike, NDArray
 from mechsearch.types import Floats
 
 
+def _rotation_terms() -> Floats:
+    """Return what the products of a quaternion's entries (16,) contribute to its matrix (9,)."""
+    terms = np.zeros((4, 4, 3, 3))
+    for i in range(3):
+        terms[0, 0, i, i] = 1.0
+        for j in range(3):
+            terms[i + 1, i + 1, j, j] += 1.0 if i == j else -1.0
+            if i != j:
+                terms[i + 1, j + 1, i, j] += 2.0
+    for row, column, axis in ((2, 1, 1), (0, 2, 2), (1, 0, 3)):
+        terms[0, axis, row, column] += 2.0
+        terms[0, axis, column, row] -= 2.0
+    return terms.reshape(16, 9)
+
+
+_ROTATION_TERMS = _rotation_terms()
+
+
 def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
     """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
     q = np.asarray(quaternion, dtype=np.float64)
-    double = 2.0 * q[..., 1:, None] * q[..., None, 1:]
-    turn = 2.0 * q[..., :1] * q[..., 1:]
-    xx, yy, zz = double[..., 0, 0], double[..., 1, 1], double[..., 2, 2]
-    matrix = double.copy()
-    matrix[..., 0, 0] = 1.0 - (yy + zz)
-    matrix[..., 1, 1] = 1.0 - (xx + zz)
-    matrix[..., 2, 2] = 1.0 - (xx + yy)
-    for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
-        matrix[..., row, column] += turn[..., axis]
-        matrix[..., column, row] -= turn[..., axis]
-    return matrix
+    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
+    return (products @ _ROTATION_TERMS).reshape(*q.shape[:-1], 3, 3)
 
 
 def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:

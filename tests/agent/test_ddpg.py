@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.agent.behaviour import Behaviour
 from mechsearch.agent.ddpg import Learner, LearnerConfig, TensorBatch, alpha_divergence
 from mechsearch.agent.networks import NetworkConfig
 from mechsearch.agent.replay import Replay
@@ -124,7 +125,7 @@ def test_the_actor_finds_the_action_of_highest_reward(dropout):
     rng = np.random.default_rng(0)
     for _ in range(250):
         metrics = agent.update(replay, rng)
-    action = agent.act({"ee_position": np.zeros(3, np.float32)})
+    action = Behaviour(agent, 0).act({"ee_position": np.zeros(3, np.float32)})
     np.testing.assert_allclose(action, [0.5, -0.5, 0.0], atol=0.25)
     assert metrics["bellman_error"] < 3.0
     assert metrics["saturated"] == 0.0
@@ -137,7 +138,7 @@ def test_q_samples_are_in_units_of_reward_and_agree_in_the_mean():
         agent.update(replay, rng)
     obs = {key: np.zeros(3, np.float32) for key in CRITIC}
     actions = np.array([[0.5, -0.5, 0], [-0.5, 0.5, 0.5]], np.float32)
-    samples = agent.q_samples(obs, actions)
+    samples = Behaviour(agent, 0).q_samples(obs, actions)
     assert samples.shape == (5, 2)
     truth = -10 * np.sum((actions - [0.5, -0.5, 0.0]) ** 2, 1)
     np.testing.assert_allclose(samples.mean(0), truth, atol=5)
@@ -147,7 +148,7 @@ def test_q_samples_are_in_units_of_reward_and_agree_in_the_mean():
 def test_an_ordinary_critic_gives_one_sample():
     agent = learner(dropout=0.0, samples=1)
     obs = {key: np.zeros(3, np.float32) for key in CRITIC}
-    assert agent.q_samples(obs, np.zeros((4, 3), np.float32)).shape == (1, 4)
+    assert Behaviour(agent, 0).q_samples(obs, np.zeros((4, 3), np.float32)).shape == (1, 4)
 
 
 def test_the_saturation_penalty_pulls_the_output_back():
@@ -210,3 +211,17 @@ def test_symmetric_training_turns_observation_and_action_together():
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(MechSearchError, match=next(iter(wrong))):
         LearnerConfig(**wrong)
+
+
+def test_behaviour_stays_as_it_is_until_it_is_refreshed():
+    agent, replay = learner(network=FULL), bandit()
+    behaviour, obs = Behaviour(agent, 0), {"ee_position": np.zeros(3, np.float32)}
+    before = behaviour.act(obs)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        agent.update(replay, rng)
+    np.testing.assert_array_equal(behaviour.act(obs), before)
+    behaviour.refresh()
+    learnt = agent.actor.eval()({"ee_position": torch.zeros(1, 3)})[0].detach().numpy()
+    np.testing.assert_allclose(behaviour.act(obs), learnt, atol=1e-6)
+    assert not np.array_equal(learnt, before)

@@ -8,8 +8,8 @@ import pytest
 
 from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.agent.networks import NetworkConfig
+from mechsearch.train.collector import Parts
 from mechsearch.train.config import TrainConfig
-from mechsearch.train.session import Parts
 from mechsearch.types import TEACHER_KEYS
 
 SIZE = 16

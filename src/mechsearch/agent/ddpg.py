@@ -1,21 +1,19 @@
 """Deterministic policy gradient with a Bayesian, asymmetric critic (paper, III-C; AC-Teach)."""
 
 import copy
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mechsearch.agent.networks import Actor, Critic, NetworkConfig, Shapes, Tensors
 from mechsearch.agent.replay import Batch, Replay
 from mechsearch.agent.symmetry import SYMMETRIES, transform
 from mechsearch.agent.weights import fill, fill_optimizer, optimizer_tensors, part, prefixed
-from mechsearch.types import Array, Floats, MechSearchError, Observation, select
+from mechsearch.types import Array, MechSearchError
 
 Metrics = dict[str, float]
 TARGET_ACTIONS = ("actor", "recorded")
@@ -34,7 +32,9 @@ class LearnerConfig:
         horizon: Actions whose rewards are summed before the critic is asked (n-step returns).
         reward_scale: What multiplies rewards before the critic sees them.
         dropout: Share of the critic's hidden units dropped; 0 makes it an ordinary critic.
-        samples: Dropout copies of the critic (AC-Teach: 50).
+        samples: Dropout copies of the critic that choose an action (AC-Teach: 50).
+        update_samples: Dropout copies that an update averages over (AC-Teach: 50; Henderson, whose
+            loss it is: 10). They are most of an update's time.
         alpha: Of the alpha-divergence loss (AC-Teach: 0.5).
         precision: Of an observed return in that loss, AC-Teach's tau, in scaled units.
         saturation_penalty: Weight of the mean square of the actor's output before the tanh.
@@ -57,6 +57,7 @@ class LearnerConfig:
     reward_scale: float = 0.1
     dropout: float = 0.1
     samples: int = 50
+    update_samples: int = 10
     alpha: float = 0.5
     precision: float = 10.0
     saturation_penalty: float = 0.003
@@ -71,7 +72,7 @@ class LearnerConfig:
         for name in ("actor_rate", "critic_rate", "alpha", "precision", "reward_scale"):
             if not getattr(self, name) > 0:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected more than 0")
-        for name in ("batch", "horizon", "samples"):
+        for name in ("batch", "horizon", "samples", "update_samples"):
             if getattr(self, name) < 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
         for name in ("gamma", "tau"):
@@ -143,31 +144,10 @@ class Learner:
         self.critic_optimizer = _adam(self.critic, config.critic_rate)
         self.generator = torch.Generator().manual_seed(seed)
 
-    @torch.no_grad()
-    def act(self, obs: Observation) -> NDArray[np.float32]:
-        """Return the actor's action (3,) for one observation, without noise."""
-        with _float32(self.actor):
-            action: NDArray[np.float32] = self.actor(_single(obs, self.actor.keys))[0].numpy()
-        return action
-
-    @torch.no_grad()
-    def q_samples(self, obs: Observation, actions: NDArray[np.float32]) -> Floats:
-        """Return samples (S, M) of the Q of M actions (M, 3) in one observation.
-
-        One row is one draw of the critic that scores all actions, in units of the reward.
-        """
-        count = len(actions)
-        with _float32(self.critic):
-            features = self.critic.encode(_single(obs, tuple(self.critic.shapes)))
-            features = features.expand(count, -1)
-            q = self.critic.value(features, torch.as_tensor(actions), self._masks(1))
-        samples: Floats = q.reshape(-1, count).double().numpy() / self.config.reward_scale
-        return samples
-
     def _masks(self, batch: int) -> list[Tensor]:
         if not self.config.dropout:
             return []
-        return self.critic.draw_masks(self.config.samples, batch, self.generator)
+        return self.critic.draw_masks(self.config.update_samples, batch, self.generator)
 
     def update(self, replay: Replay, rng: np.random.Generator) -> Metrics:
         """Draw one batch and improve critic, actor and targets with it."""
@@ -296,18 +276,5 @@ def _adam(network: nn.Module, rate: float) -> torch.optim.Optimizer:
     return torch.optim.Adam(network.parameters(), rate, fused=True)
 
 
-@contextmanager
-def _float32(network: nn.Module) -> Iterator[None]:
-    network.eval()
-    try:
-        yield
-    finally:
-        network.train()
-
-
 def _tensors(arrays: Mapping[str, Array]) -> dict[str, Tensor]:
     return {key: torch.as_tensor(value) for key, value in arrays.items()}
-
-
-def _single(obs: Observation, keys: tuple[str, ...]) -> dict[str, Tensor]:
-    return {key: torch.as_tensor(value)[None] for key, value in select(obs, keys).items()}

@@ -33,7 +33,8 @@ class NetworkConfig:
         depth_reference: Depth that the networks see as zero [m]: the table below the camera.
         depth_gain: What multiplies the height above that [1/m].
         offset_gain: What multiplies positions and offsets [1/m].
-        bfloat16: Compute training passes in bfloat16, except the last layer.
+        bfloat16: Compute training passes in bfloat16, except the last layer; faster only on
+            processors that multiply such matrices themselves.
     """
 
     kernels: tuple[int, ...] = (6, 3, 3)
@@ -47,7 +48,7 @@ class NetworkConfig:
     depth_reference: float = 1.0
     depth_gain: float = 10.0
     offset_gain: float = 4.0
-    bfloat16: bool = True
+    bfloat16: bool = False
 
     def __post_init__(self) -> None:
         if not len(self.kernels) == len(self.strides) == len(self.paddings):
@@ -114,6 +115,8 @@ class Encoder(nn.Module):
         super().__init__()
         self.heads = nn.ModuleDict({k: _head(k, tuple(s), config) for k, s in shapes.items()})
         with torch.no_grad():
+            # As fast convolutions on a CPU want their images.
+            self.to(memory_format=torch.channels_last)
             blank = {key: torch.zeros(1, *shape) for key, shape in shapes.items()}
             self.width = self(blank).shape[1]
 

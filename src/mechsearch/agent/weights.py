@@ -80,9 +80,13 @@ def optimizer_tensors(optimizer: Optimizer) -> dict[str, Tensor]:
 def fill_optimizer(optimizer: Optimizer, tensors: Mapping[str, Tensor]) -> None:
     """Take back what `optimizer_tensors` returned; learning rates stay the optimiser's own."""
     states: dict[int, dict[str, Tensor]] = {}
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
     for path, tensor in tensors.items():
         index, name = path.split("/")
-        states.setdefault(int(index), {})[name] = tensor
+        own = parameters[int(index)]
+        # In the memory layout of the parameter: sums in another order have other last bits.
+        laid_out = torch.empty_like(own).copy_(tensor) if tensor.shape == own.shape else tensor
+        states.setdefault(int(index), {})[name] = laid_out
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": states, "param_groups": groups})
 

@@ -14,12 +14,12 @@ from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.runs import read_json, write_json
 from mechsearch.train.assemble import assemble
 from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.train.collector import Env
 from mechsearch.train.config import PRESETS, TrainConfig, load_config, preset_config
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.train.expert import DemonstrateConfig, LookAheadExpert, demonstrate, failed
 from mechsearch.train.imitate import Expert, imitate
 from mechsearch.train.loop import train
-from mechsearch.train.session import Env
 from mechsearch.types import MechSearchError
 
 INPUTS_FILE = "inputs.json"

@@ -160,6 +160,11 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         return self.heaps[self._heap_index]
 
     @property
+    def world(self) -> World:
+        """The physics of the current episode, for measurements; stepping it is cheating."""
+        return self._world
+
+    @property
     def state(self) -> HeapState:
         """The true state."""
         return HeapState(self._poses.copy(), self._world.pusher_position, self._occlusion)
@@ -187,6 +192,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self._world, self._renderer = self._scene_of(index)
         self._world.reset(heap.poses, self._sample_start(rng))
         self._poses = self._world.poses
+        self._others = np.arange(len(heap.objects)) != heap.target
         self._present = np.ones(len(heap.objects), np.bool_)
         self._occlusion = self._measure_occlusion()
         self._actions = 0
@@ -212,7 +218,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             return self._end_of_failure(failure)
         self._update_poses()
         moved = np.linalg.norm(self._poses[:, :3] - poses[:, :3], axis=1) * present
-        clutter = np.delete(moved, self.heap.target)
+        clutter = moved[self._others]
         if not np.array_equal(self._poses, poses):
             self._occlusion = self._measure_occlusion()
         reward = terms(
@@ -254,6 +260,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self._world, self._renderer = self._scene_of(self._heap_index)
         self._world.restore(snapshot["world"])
         self._poses = np.array(snapshot["poses"])
+        self._others = np.arange(len(self.heap.objects)) != self.heap.target
         self._present = np.array(snapshot["present"])
         self._occlusion = float(snapshot["occlusion"])
         self._actions = int(snapshot["actions"])
@@ -294,7 +301,8 @@ class HeapEnv(gymnasium.Env[Any, Array]):
     def _update_poses(self) -> None:
         """Take the objects' new poses; those that left the table stay where they left it."""
         poses = self._world.poses
-        poses[~self._present] = self._poses[~self._present]
+        if not self._present.all():
+            poses[~self._present] = self._poses[~self._present]
         gone = self._present & self.config.workspace.off_table(poses)
         for index in np.flatnonzero(gone):
             self._world.remove(int(index))

@@ -1,10 +1,12 @@
 """The mid-level representation (paper, section III-B): where the visible target is, pixelwise."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError
 
 
 def position_image(
@@ -30,12 +32,17 @@ def position_image(
             f"mask {mask.shape} and depth {depth.shape} must both be the camera's {shape}"
         )
     image = np.zeros((3, *shape), np.float16)
-    rows, columns = np.nonzero(mask & (depth > 0))
-    z = depth[rows, columns].astype(np.float64)
-    local = np.stack(
-        [(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1
-    )
-    pose = camera.pose
-    offsets = local @ pose[:3, :3].T + pose[:3, 3] - np.asarray(ee_position, np.float64)
-    image[:, rows, columns] = offsets.T
+    pixels = np.flatnonzero(mask)
+    z = depth.ravel()[pixels]
+    pixels, z = pixels[z > 0], z[z > 0]
+    origin, rays = _rays(camera)
+    image.reshape(3, -1)[:, pixels] = rays[:, pixels] * z + (origin - ee_position)[:, None]
     return image
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: Camera) -> tuple[Floats, Floats]:
+    """Return where the camera is (3,), and its pixels' rays (3, H W) in world axes."""
+    pose = camera.pose
+    rays = camera.directions().reshape(-1, 3) @ pose[:3, :3].T
+    return pose[:3, 3], np.ascontiguousarray(rays.T)

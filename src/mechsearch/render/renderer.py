@@ -118,11 +118,10 @@ class Renderer:
                 f"poses are {states.shape}; expected ({len(self.bodies)}, 7) for this heap"
             )
         seen = self._looking(camera)
-        heap = self._heap(seen, states)
+        heap, shown = self._heap(seen, states, pusher)
         depth, ids = heap.depth.copy(), heap.ids.copy()
-        if self._pusher is not None and pusher is not None:
-            (patch,) = _cast(seen, [self._pusher], np.asarray(pusher, np.float64)[None])
-            _compose(depth, ids, patch, PUSHER)
+        if shown is not None:
+            _compose(depth, ids, shown, PUSHER)
         rgb = self._colours(seen, states, pusher, ids) if colour else None
         depth[depth > NO_HIT] = 0.0
         return Frame(depth, ids, heap.amodal.copy(), rgb)
@@ -135,33 +134,39 @@ class Renderer:
             self._seen[camera] = _Seen(view, rays, depth, colour)
         return self._seen[camera]
 
-    def _heap(self, seen: _Seen, states: Floats) -> Frame:
-        """Return the objects without the pusher; nothing is cast for those that lie as before."""
-        if seen.frame is not None and np.array_equal(states, seen.poses):
-            return seen.frame
-        seen.patches = self._patches(seen, states)
-        seen.poses = states.copy()
+    def _heap(
+        self, seen: _Seen, states: Floats, pusher: Array | None
+    ) -> tuple[Frame, _Patch | None]:
+        """Return the objects without the pusher, and what the pusher shows.
+
+        Nothing is cast for objects that lie as before.
+        """
+        moved = np.ones(len(states), np.bool_)
+        if seen.frame is not None:
+            moved = (states != seen.poses).any(axis=1)
+        which = np.flatnonzero(moved).tolist()
+        bodies, poses = [self.bodies[i] for i in which], states[moved]
+        if self._pusher is not None and pusher is not None:
+            bodies.append(self._pusher)
+            poses = np.vstack([poses, pusher])
+        patches = _cast(seen, bodies, poses)
+        shown = patches.pop() if len(bodies) > len(which) else None
+        if seen.frame is None or which:
+            kept = seen.patches or [_nothing(seen)] * len(states)
+            for i, patch in zip(which, patches, strict=True):
+                kept[i] = patch
+            seen.patches, seen.poses = kept, states.copy()
+            seen.frame = self._composed(seen)
+        return seen.frame, shown
+
+    def _composed(self, seen: _Seen) -> Frame:
         depth = seen.empty.copy()
         ids = np.full(depth.shape, BACKGROUND, np.int16)
         amodal = np.zeros((len(self.bodies), *depth.shape), np.bool_)
         for i, patch in enumerate(seen.patches):
             amodal[i][patch.block.of] = patch.depth < NO_HIT
             _compose(depth, ids, patch, i)
-        seen.frame = Frame(depth, ids, amodal, None)
-        return seen.frame
-
-    def _patches(self, seen: _Seen, states: Floats) -> list[_Patch]:
-        moved = np.ones(len(states), np.bool_)
-        if seen.frame is not None:
-            moved = (states != seen.poses).any(axis=1)
-        which = np.flatnonzero(moved).tolist()
-        bodies = [self.bodies[i] for i in which]
-        patches = list(seen.patches) or [_Patch(Block(0, 0, 0, 0), seen.empty[:0, :0])] * len(
-            states
-        )
-        for i, patch in zip(which, _cast(seen, bodies, states[moved]), strict=True):
-            patches[i] = patch
-        return patches
+        return Frame(depth, ids, amodal, None)
 
     def _colours(
         self, seen: _Seen, states: Floats, pusher: Array | None, ids: NDArray[np.int16]

@@ -68,24 +68,31 @@ class View:
         self.frame = Block(0, camera.height, 0, camera.width)
         self.origin: Floats = camera.pose[:3, 3]
         self._axes = camera.pose[:3, :3]
+        self._last: tuple[Block, NDArray[np.float32]] | None = None
         self._focal = np.array([camera.fy, camera.fx])
         self._principal = np.array([camera.cy, camera.cx])
 
     def rays(self, block: Block) -> NDArray[np.float32]:
-        """Return the directions (h, w, 3) of a block's rays, as long as 1 m of depth."""
+        """Return the directions (h, w, 3) of a block's rays, as long as 1 m of depth.
+
+        Those of the last block are kept: not to be written into.
+        """
+        if self._last is not None and self._last[0] == block:
+            return self._last[1]
         camera = self.camera
         u = (np.arange(block.left, block.right) - camera.cx) / camera.fx
         v = (np.arange(block.top, block.bottom) - camera.cy) / camera.fy
         across, down, forward = self._axes.T
         rays = v[:, None, None] * down + (u[:, None] * across + forward)
         single: NDArray[np.float32] = rays.astype(np.float32)
+        self._last = block, single
         return single
 
     def appearances(self, bodies: Sequence[Body], poses: Floats) -> Appearances:
         """Return where bodies at poses (N, 7) appear, by their bounding boxes."""
         rotations = rotation_from_quaternion(poses[:, 3:])
         offsets = self.origin - poses[:, :3]
-        starts = np.einsum("ni,nij->nj", offsets, rotations)
+        starts = (offsets[:, None] @ rotations)[:, 0]
         corners = np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
         # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
         local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)

@@ -23,6 +23,9 @@ SLIDING_AND_SPINNING = 4
 ROLLING_TOO = 6
 """Friction directions of a contact. Rolling friction acts on the table alone, where balls roll."""
 
+# What the engine would print and log is counted in its data, and named by `World.failure`.
+mujoco.set_mju_user_warning(lambda message: None)
+
 
 @dataclass(frozen=True)
 class PhysicsConfig:

@@ -98,7 +98,7 @@ def clear_steps(
     beside = np.maximum(np.maximum(low[:, :2] - flat, flat - high[:, :2]), 0.0)
     height = path[:, 2, None]
     meets: Array = (
-        (np.einsum("ijk,ijk->ij", beside, beside) < reach**2)
+        ((beside * beside).sum(axis=2) < reach**2)
         & (height < high[:, 2] + clearance)
         & (height + pusher.length > low[:, 2] - clearance)
     ).any(axis=1)

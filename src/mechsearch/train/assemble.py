@@ -8,9 +8,9 @@ from mechsearch.evaluation.rollout import run
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teachers
+from mechsearch.train.collector import Evaluator, Parts
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.demonstrations import evenly_spread
-from mechsearch.train.session import Evaluator, Parts
 from mechsearch.types import MechSearchError, Policy
 
 

@@ -71,6 +71,7 @@ class TrainConfig:
         critic_keys: What the critic sees; the actor's keys make it symmetric.
         teachers: Who guides, of "straight", "zigzag" and "spiral"; empty is unguided.
         updates_per_action: Gradient steps for each action.
+        block: Actions executed between two looks at the networks, which learn meanwhile.
         warmup: Actions before the first update.
         replay_rows: Most frames kept.
         evaluate_every: Actions (in imitation: updates) between evaluations.
@@ -93,6 +94,7 @@ class TrainConfig:
     critic_keys: tuple[str, ...] = CRITIC_KEYS
     teachers: tuple[str, ...] = tuple(TEACHERS)
     updates_per_action: float = 1.0
+    block: int = 4
     warmup: int = 300
     replay_rows: int = 20_000
     evaluate_every: int = 1000
@@ -110,7 +112,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for name in ("actions", "warmup", "validation_heaps", "held_out_heaps"):
             _at_least(name, getattr(self, name), 0)
-        for name in ("replay_rows", "evaluate_every", "checkpoint_every", "threads"):
+        for name in ("block", "replay_rows", "evaluate_every", "checkpoint_every", "threads"):
             _at_least(name, getattr(self, name), 1)
         if self.updates_per_action < 0:
             raise MechSearchError(

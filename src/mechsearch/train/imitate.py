@@ -13,12 +13,12 @@ from mechsearch.agent.policy import ActorPolicy
 from mechsearch.agent.weights import Archive, part, prefixed
 from mechsearch.parallel import Progress, silent
 from mechsearch.train.checkpoint import RunDirectory, generator_state, restore_generator
+from mechsearch.train.collector import Env, Parts
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore, evenly_spread
 from mechsearch.train.evaluate import evaluate, label
 from mechsearch.train.log import RunLog
 from mechsearch.train.samples import Samples
-from mechsearch.train.session import Env, Parts
 from mechsearch.train.speed import Speed
 from mechsearch.types import select
 

@@ -1,14 +1,16 @@
-"""The training loop: act, remember, improve."""
+"""The training loop: act, remember, improve; the world turns while the networks learn."""
 
 from pathlib import Path
 
 from mechsearch.agent.policy import ActorPolicy
 from mechsearch.parallel import Progress, silent
+from mechsearch.train.background import background
 from mechsearch.train.checkpoint import RunDirectory
+from mechsearch.train.collector import Parts
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.evaluate import evaluate, label
 from mechsearch.train.log import RunLog
-from mechsearch.train.session import Parts, Session
+from mechsearch.train.session import Session
 from mechsearch.train.speed import Speed
 
 
@@ -20,6 +22,9 @@ def train(
     progress: Progress = silent,
 ) -> dict[str, float]:
     """Train an actor and write the run directory; return the last evaluation.
+
+    While some actions are executed by copies of actor and critic, the updates that are due for all
+    actions before them are taken: who finishes first changes nothing.
 
     Args:
         config: The run.
@@ -37,26 +42,26 @@ def train(
         session.restore(checkpoint)
     log, speed = RunLog(directory, session.step), Speed(session.step, session.counts["updates"])
     scores: dict[str, float] = {}
-    last_saved, obs = session.step, session.begin()
-    while session.step < config.actions:
-        decision = session.decide(obs)
-        outcome = parts.env.step(decision.action)
-        session.store(obs, decision, outcome)
-        obs, _, terminated, truncated, info = outcome
-        with speed.updating():
-            session.update()
-        if terminated or truncated:
-            log.write("episode", session.step, session.episode.summary(terminated, info))
-        if session.step % config.evaluate_every == 0 or session.step == config.actions:
-            log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
-            policy = ActorPolicy(session.learner.actor, session.step)
-            scores = evaluate(policy, session.step, parts.evaluators, log)
-            run.save_actor(session.step, policy)
-        if terminated or truncated:
-            if session.step - last_saved >= config.checkpoint_every:
+    last_saved = session.step
+    with background() as thread:
+        while session.step < config.actions:
+            session.behaviour.refresh()
+            actions = thread.submit(session.collector.collect, session.next_block())
+            with speed.updating():
+                session.update()
+            for transition in actions.result():
+                summary = session.store(transition)
+                if summary is not None:
+                    log.write("episode", session.step, summary)
+                progress(label(config.name, scores), session.step, config.actions)
+            if session.step % config.evaluate_every == 0 or session.step == config.actions:
+                session.update()
+                log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
+                policy = ActorPolicy(session.learner.actor, session.step)
+                scores = evaluate(policy, session.step, parts.evaluators, log)
+                run.save_actor(session.step, policy)
+            if session.episode is None and session.step - last_saved >= config.checkpoint_every:
                 run.save(session.step, *session.archive())
                 last_saved = session.step
-            obs = session.begin()
-        progress(label(config.name, scores), session.step, config.actions)
     log.close()
     return scores
