@@ -236,8 +236,9 @@ def test_a_reset_that_kills_twice_quarantines_its_heap_and_draws_another(make, t
 def test_when_every_heap_is_quarantined_the_reason_is_named(covered, boxes, trouble):
     trouble("raise", covered.seed, at=0, times=99)
     with closing(VectorHeapEnv(partial(TroubledEnv, [covered], boxes), 1)) as envs:
-        with pytest.raises(MechSearchError, match=r"all 1 heaps .*1234: .* has a bug"):
-            envs.reset()
+        for _ in range(2):
+            with pytest.raises(MechSearchError, match=r"all 1 heaps .*1234: .* has a bug"):
+                envs.reset()
         with pytest.raises(MechSearchError, match=r"\[0\] are over"):
             envs.step(np.zeros((1, 3)))
 

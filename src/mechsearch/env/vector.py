@@ -122,8 +122,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         envs = [int(i) for i in np.flatnonzero(mask)]
         for request in [self._lanes[i].reset(seeds[i], passed) for i in envs]:
             self._hosts.ask(request)
-        self._await(envs)
-        self._complete.clear()
+        _raise_first(self._await(envs))
         infos = [(i, self._lanes[i].outcome.info) for i in envs]
         return self._seen(slice(None)), _batched(infos, self.num_envs)
 
@@ -187,10 +186,10 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         if not 1 <= count <= len(self._turn):
             raise NoAsyncCallError(f"receive({count}) of {len(self._turn)} that were sent", "step")
         envs = [self._turn[k] for k in range(count)]
-        self._await(envs)
-        for i in envs:
+        errors = self._await(envs)
+        for _ in envs:
             self._turn.popleft()
-            self._complete.discard(i)
+        _raise_first(errors)
         outcomes = [self._lanes[i].outcome for i in envs]
         return np.array(envs), (
             self._seen(envs),
@@ -234,11 +233,11 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
     def __del__(self) -> None:
         self.close()
 
-    def _await(self, envs: Sequence[int]) -> None:
+    def _await(self, envs: Sequence[int]) -> list[MechSearchError]:
         """Wait until the outcomes of some environments are complete.
 
-        Raises:
-            MechSearchError: If no episode can begin in one of them.
+        Returns:
+            Why no episode can begin in one of them.
         """
         errors = []
         while not self._complete.issuperset(envs):
@@ -252,8 +251,8 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
                     self._complete.add(i)
                 else:
                     self._hosts.ask(request)
-        if errors:
-            raise errors[0]
+        self._complete.difference_update(envs)
+        return errors
 
     def _seen(self, envs: Any) -> dict[str, Array]:
         return {key: np.array(rows[envs]) for key, rows in self._kept.items()}
@@ -268,6 +267,11 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             raise AlreadyPendingCallError(
                 f"{name} while the actions of {list(self._turn)} are not received", "step"
             )
+
+
+def _raise_first(errors: Sequence[MechSearchError]) -> None:
+    if errors:
+        raise errors[0]
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
