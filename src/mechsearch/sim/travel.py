@@ -58,7 +58,7 @@ class Outlines:
         self._poses = np.empty(0)
 
     def boxes(self, poses: Floats) -> tuple[Floats, Floats]:
-        """Return the lowest and highest corner (B, 3) [m] of every part, objects at poses (N, 7)."""
+        """Return the lowest and highest corner (B, 3) [m] of each part, objects at poses (N, 7)."""
         if not np.array_equal(poses, self._poses):
             turned = np.matmul(
                 rotation_from_quaternion(poses[:, 3:])[self._object], self._points[:, :, None]
