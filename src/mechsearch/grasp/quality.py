@@ -8,9 +8,9 @@ import numpy as np
 from mechsearch.grasp.candidates import ImageGrasp
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.grasp.policy import rate
+from mechsearch.grasp.retrieval import on_table
 from mechsearch.grasp.view import GraspView, renderer_of, view_of_heap, view_of_target
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, MechSearchError
 
 BEST = 10
@@ -52,7 +52,6 @@ def graspability(
     models: Sequence[ObjectModel],
     poses: Array,
     target: int,
-    workspace: Workspace | None = None,
 ) -> Graspability:
     """Return the graspability of a target in a heap at rest.
 
@@ -64,7 +63,6 @@ def graspability(
         models: The objects.
         poses: Of theirs (N, 7).
         target: Its index.
-        workspace: The table.
 
     Raises:
         MechSearchError: If poses and objects do not fit.
@@ -74,12 +72,11 @@ def graspability(
         raise MechSearchError(
             f"poses of shape {states.shape} and target {target} do not fit {len(models)} objects"
         )
-    gone = (workspace or Workspace()).off_table(states)
-    if gone[target]:
+    present, index = on_table(states, target)
+    if index is None:
         return Graspability(0.0, 0.0, 0, True, None)
-    present = [i for i in range(len(models)) if not gone[i]]
     renderer = renderer_of([models[i] for i in present])
-    view = view_of_heap(renderer, states[present], present.index(target))
+    view = view_of_heap(renderer, states[present], index)
     return graspability_of_view(network, view)
 
 
