@@ -3,7 +3,8 @@ import pytest
 import torch
 
 from mechsearch.grasp.candidates import alike
-from mechsearch.grasp.policy import around, cells, depth_bins, rate
+from mechsearch.grasp.grid import cells, depth_bins
+from mechsearch.grasp.policy import rate
 from mechsearch.grasp.view import GraspView
 
 
@@ -43,7 +44,7 @@ def test_rating_around_the_target_equals_rating_the_whole_image(untrained, bumpy
 
 def test_the_image_goes_on_as_the_table_beyond_its_border(bumpy, overhead):
     corner = view(bumpy, overhead, slice(0, 5), slice(0, 5))
-    crop = around(corner, 0, 4, 0, 4)
+    crop = corner.around(0, 4, 0, 4)
     assert crop.shape == (100, 100)
     assert (crop[:48] == np.float32(0.8)).all()
     assert (crop[:, :48] == np.float32(0.8)).all()

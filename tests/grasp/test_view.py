@@ -51,8 +51,11 @@ def test_a_gripper_of_another_size_is_refused():
 
 
 def test_the_metric_camera_looks_straight_down_on_its_point():
-    camera = metric_camera([0.1, -0.2, 0.05])
-    np.testing.assert_allclose(camera.project([0.1, -0.2, 0.0]), [255.5, 191.75, 0.8], atol=1e-9)
+    camera = metric_camera([0.1, -0.2, 0.05], 0.1)
+    centre = (camera.width - 1) / 2
+    np.testing.assert_allclose(camera.project([0.1, -0.2, 0.0]), [centre, centre, 0.8], atol=1e-9)
+    highest = camera.project([0.2, -0.2, 0.15])
+    assert highest[0] + 48 < camera.width
     right = camera.project([0.11, -0.2, 0.0]) - camera.project([0.1, -0.2, 0.0])
     assert right[0] > 0
     assert right[1] == pytest.approx(0)

@@ -19,8 +19,6 @@ from mechsearch.grasp.retrieval import Lifted, LiftTask, lift_all
 from mechsearch.grasp.view import (
     GraspView,
     check_opening,
-    metric_camera,
-    renderer_of,
     view_of_heap,
 )
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
@@ -183,8 +181,7 @@ class Lift(Command):
             wrote(self.out)
 
     def _task(self, spec: str, heap: Heap, now: Graspability) -> LiftTask:
-        camera = metric_camera(heap.poses[heap.target])
-        grasps = np.empty((0, 7)) if now.best is None else now.best.pose(camera)[None]
+        grasps = np.empty((0, 7)) if now.best is None else now.best[None]
         gripper = Gripper(opening=self.opening)
         seed = int(np.random.SeedSequence([self.seed, heap.seed]).generate_state(1)[0])
         return LiftTask(
@@ -251,7 +248,7 @@ def _picture(
     now: Graspability,
     opening: float,
 ) -> Image.Image:
-    view = view_of_heap(renderer_of(models), heap.poses, heap.target)
+    view = view_of_heap(models, heap.poses, heap.target)
     name = heap.objects[heap.target].replace("_", " ")
     if not now.visible:
         # Nothing to draw on the target: the whole image, without grasps.

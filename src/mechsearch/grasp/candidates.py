@@ -6,7 +6,7 @@ import numpy as np
 
 from mechsearch.camera import Camera
 from mechsearch.geometry import apply
-from mechsearch.grasp.network import ANGLES
+from mechsearch.grasp.grid import ANGLES
 from mechsearch.types import Array, Floats
 
 

@@ -12,16 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from mechsearch.agent.weights import Archive, load_archive, save_archive
+from mechsearch.grasp.grid import ANGLES
 from mechsearch.types import Array, MechSearchError
-
-ANGLES = 16
-"""Bins of the closing direction, pi / 16 each."""
-
-FIELD = 96
-"""Side of the square that one cell sees [px]; its centre is pixel 48."""
-
-STRIDE = 4
-"""Between neighbouring cells [px]."""
 
 KIND = "mechsearch grasp network"
 

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.grasp.candidates import ImageGrasp, alike, bin_angle
-from mechsearch.grasp.network import FIELD, STRIDE, GraspNetwork
+from mechsearch.grasp.grid import STRIDE, cells, depth_bins
+from mechsearch.grasp.network import GraspNetwork
 from mechsearch.grasp.view import GraspView
 from mechsearch.types import Array, Floats
-
-DEPTHS = 16
-"""Depths of the gripper that are tried, evenly between the target's nearest point and the table."""
 
 _CONSIDERED = 4096
 """Grasps among which those that are apart are looked for."""
@@ -76,27 +74,6 @@ class Ratings:
         )
 
 
-def depth_bins(near: float, far: float, count: int = DEPTHS) -> Floats:
-    """Return the middles of `count` equal bins between two depths [m]."""
-    return near + (np.arange(count) + 0.5) * (far - near) / count
-
-
-def cells(mask: Array) -> tuple[Array, Array]:
-    """Return rows and columns (C,) of every fourth pixel that is inside a mask (H, W).
-
-    A region so small that the grid misses it gets one cell, the pixel nearest to its centroid.
-
-    Args:
-        mask: With at least one pixel inside.
-    """
-    rows, columns = np.nonzero(mask[::STRIDE, ::STRIDE])
-    if len(rows):
-        return rows * STRIDE, columns * STRIDE
-    rows, columns = np.nonzero(mask)
-    nearest = np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2)
-    return rows[nearest : nearest + 1], columns[nearest : nearest + 1]
-
-
 def rate(network: GraspNetwork, view: GraspView) -> Ratings:
     """Rate the grasps on a target with at least one visible pixel.
 
@@ -105,28 +82,9 @@ def rate(network: GraspNetwork, view: GraspView) -> Ratings:
     """
     depths = depth_bins(float(view.depth[view.mask].min()), view.far)
     rows, columns = cells(view.mask)
-    crop = around(view, rows.min(), rows.max(), columns.min(), columns.max())
+    crop = view.around(rows.min(), rows.max(), columns.min(), columns.max())
     found = network.quality(
         torch.from_numpy(crop), torch.from_numpy(depths.astype(np.float32))
     ).numpy()
     i, j = (rows - rows.min()) // STRIDE, (columns - columns.min()) // STRIDE
     return Ratings(found[:, :, i, j], rows, columns, depths, view.camera)
-
-
-def around(view: GraspView, top: int, bottom: int, left: int, right: int) -> NDArray[np.float32]:
-    """Return the part of the depth image that cells from one corner to another can see.
-
-    The first cell's field begins 48 px above and left of it, the last one's ends 48 px beyond.
-    """
-    half = FIELD // 2
-    out = np.full((bottom - top + FIELD, right - left + FIELD), view.far, np.float32)
-    height, width = view.depth.shape
-    row, column = top - half, left - half
-    inside = (
-        slice(max(row, 0), min(row + out.shape[0], height)),
-        slice(max(column, 0), min(column + out.shape[1], width)),
-    )
-    part = view.depth[inside]
-    y, x = inside[0].start - row, inside[1].start - column
-    out[y : y + part.shape[0], x : x + part.shape[1]] = part
-    return out

@@ -9,15 +9,15 @@ from mechsearch.grasp.candidates import ImageGrasp
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.grasp.policy import rate
 from mechsearch.grasp.retrieval import on_table
-from mechsearch.grasp.view import GraspView, renderer_of, view_of_heap, view_of_target
+from mechsearch.grasp.view import GraspView, view_of_heap, view_of_target
 from mechsearch.objects.model import ObjectModel
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError
 
 BEST = 10
 """Grasps that count (paper: 10)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Graspability:
     """How graspable one target is in one state.
 
@@ -27,14 +27,14 @@ class Graspability:
             neighbours of one peak.
         visible: Pixels of the target that the metric camera sees.
         lost: Whether the target has left the table.
-        best: The best grasp, or None where there is none.
+        best: Pose (7,) of the best grasp in the world, or None where there is none.
     """
 
     score: float
     diverse: float
     visible: int
     lost: bool
-    best: ImageGrasp | None
+    best: Floats | None
 
 
 def graspability_of_view(network: GraspNetwork, view: GraspView) -> Graspability:
@@ -44,7 +44,7 @@ def graspability_of_view(network: GraspNetwork, view: GraspView) -> Graspability
         return Graspability(0.0, 0.0, 0, False, None)
     ratings = rate(network, view)
     top, spread = ratings.best(BEST), ratings.best_apart(BEST)
-    return Graspability(_mean(top), _mean(spread), visible, False, top[0])
+    return Graspability(_mean(top), _mean(spread), visible, False, top[0].pose(view.camera))
 
 
 def graspability(
@@ -75,8 +75,7 @@ def graspability(
     present, index = on_table(states, target)
     if index is None:
         return Graspability(0.0, 0.0, 0, True, None)
-    renderer = renderer_of([models[i] for i in present])
-    view = view_of_heap(renderer, states[present], index)
+    view = view_of_heap([models[i] for i in present], states[present], index)
     return graspability_of_view(network, view)
 
 

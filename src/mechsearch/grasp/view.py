@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera, look_at
+from mechsearch.grasp.grid import FIELD
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import Array, Floats, MechSearchError
@@ -16,6 +17,8 @@ NETWORK_OPENING = (0.05, 0.06)
 
 METRIC_HEIGHT = 0.8
 """Of the metric camera above the table [m]."""
+
+_FOCAL = 552.5
 
 _WIDTH_PX = (23.0, 46.0)
 """Width of a 5 cm gripper at the target [px]: where the released network's scores were found
@@ -37,6 +40,22 @@ class GraspView:
     mask: NDArray[np.bool_]
     camera: Camera
     far: float
+
+    def around(self, top: int, bottom: int, left: int, right: int) -> NDArray[np.float32]:
+        """Return the part of the depth image that cells from one corner to another can see.
+
+        The first cell's field begins 48 px above and left of it, the last one's ends 48 px beyond.
+        Beyond its border the image goes on as the surface that things stand on.
+        """
+        half = FIELD // 2
+        out = np.full((bottom - top + FIELD, right - left + FIELD), self.far, np.float32)
+        row, column = top - half, left - half
+        rows = slice(max(row, 0), max(row + out.shape[0], 0))
+        columns = slice(max(column, 0), max(column + out.shape[1], 0))
+        part = self.depth[rows, columns]
+        y, x = rows.start - row, columns.start - column
+        out[y : y + part.shape[0], x : x + part.shape[1]] = part
+        return out
 
 
 def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
@@ -101,38 +120,41 @@ def check_opening(opening: float) -> None:
         )
 
 
-def metric_camera(above: Array) -> Camera:
-    """Return the overhead camera, 0.8 m above the table, that looks down on a point (2,) or more.
+def metric_camera(above: Array, radius: float = 0.3) -> Camera:
+    """Return the overhead camera, 0.8 m above the table, that looks down on an object's centre.
 
-    Image columns run along x, rows along -y. The intrinsics are those of the sensor that the
-    released network was trained for.
+    Image columns run along x, rows along -y. The focal length is that of the sensor which the
+    released network was trained for. The image is as large as grasps on the object can see.
+
+    Args:
+        above: Centre (3,) [m].
+        radius: Of the sphere about it that holds the object [m].
     """
-    x, y = (float(value) for value in np.asarray(above)[:2])
+    x, y, z = (float(value) for value in np.asarray(above)[:3])
+    distance = max(METRIC_HEIGHT - z - radius, METRIC_HEIGHT / 4)
+    size = 2 * (int(np.ceil(_FOCAL * radius / distance)) + FIELD // 2 + 2)
     pose = look_at((x, y, METRIC_HEIGHT), (x, y, 0.0), (0.0, 1.0, 0.0))
-    return Camera(516, 386, 552.5, 552.5, 255.5, 191.75, pose)
+    centre = (size - 1) / 2
+    return Camera(size, size, _FOCAL, _FOCAL, centre, centre, pose)
 
 
-def view_of_heap(renderer: Renderer, poses: Array, target: int) -> GraspView:
+def view_of_heap(models: Sequence[ObjectModel], poses: Array, target: int) -> GraspView:
     """Return the noise-free metric view of objects at rest, the robot out of sight.
 
     Args:
-        renderer: Of the objects.
-        poses: Of all objects (N, 7).
+        models: The objects.
+        poses: Of theirs (N, 7).
         target: Its index; the camera looks down on its centre.
     """
-    camera = metric_camera(poses[target])
-    frame = renderer.frame(camera, poses)
+    camera = metric_camera(poses[target], models[target].radius)
+    # An edge of the table would look like a drop that no gripper needs to heed.
+    frame = Renderer(models, table_half=100.0).frame(camera, poses)
     return GraspView(frame.depth, frame.modal(target), camera, METRIC_HEIGHT)
 
 
 def view_of_target(model: ObjectModel, pose: Floats) -> GraspView:
     """Return the metric view of the target where it lies, all clutter removed."""
-    return view_of_heap(renderer_of([model]), pose[None], 0)
-
-
-def renderer_of(models: Sequence[ObjectModel]) -> Renderer:
-    """Return a renderer of objects over a table that fills the view."""
-    return Renderer(models, table_half=100.0)
+    return view_of_heap([model], pose[None], 0)
 
 
 def _flat(name: str, image: Array) -> Array:
