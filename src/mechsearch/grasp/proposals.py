@@ -99,7 +99,8 @@ def _between(
     held = (depth < batch.depth[:, None] - 0.005).any(axis=1)
     first = np.argmax(between, axis=1)
     last = len(along) - 1 - np.argmax(between[:, ::-1], axis=1)
-    return along[first], along[last], held & (on_target | ~between).all(axis=1)
+    alone = np.asarray((on_target | ~between).all(axis=1))
+    return along[first], along[last], np.asarray(held & alone)
 
 
 def _fingers_free(view: GraspView, batch: _Batch, gripper: Gripper) -> NDArray[np.bool_]:
