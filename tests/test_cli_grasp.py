@@ -10,6 +10,8 @@ pytest.importorskip("torch")
 import torch
 
 from mechsearch.cli import main
+from mechsearch.evaluation import summary
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
 from mechsearch.grasp.network import GraspNetwork, save_network
 
 
@@ -126,3 +128,23 @@ def test_the_whole_way_from_labels_to_a_judged_network(
     assert "base rate" in said
     assert "mean quality" in said
     assert "another config" in failure([*words, "--per-object", "5"], capsys)
+
+
+def test_an_evaluation_measures_graspability_and_retrieval(
+    heaps: Path, network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "idle", "teacher-spiral", "--heaps", str(heaps), "--limit", "2", "--brief"]
+    words += ["--workers", "1", "--out", str(tmp_path), "--summary", str(tmp_path / "s.csv")]
+    main([*words, "--grasp-network", str(network)])
+    said = capsys.readouterr().out
+    assert "Graspability and retrieval of the target" in said
+    rows = {(row.variant, row.metric): row for row in summary.read(tmp_path / "s.csv")}
+    for policy in ("idle", "teacher-spiral"):
+        assert {metric for variant, metric in rows if variant == policy} == {
+            *METRICS,
+            *GRASP_METRICS,
+        }
+    assert abs(rows["idle", "graspability_change"].mean) < 0.05
+    assert rows["idle", "retrieval_before"].mean == rows["idle", "retrieval_after"].mean
+    absent = failure([*words, "--grasp-network", "absent.npz"], capsys)
+    assert "no network at absent.npz" in absent
