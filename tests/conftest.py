@@ -30,6 +30,12 @@ def box_model(name, sides, mass=0.1):
 
 
 @pytest.fixture(scope="session")
+def make_box():
+    """Makes a box of a name, sides [m] and a mass [kg]."""
+    return box_model
+
+
+@pytest.fixture(scope="session")
 def boxes():
     """A 10 cm plate, an 8 cm lid, a 6 cm cube, and small cubes."""
     models = [

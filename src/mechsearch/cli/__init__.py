@@ -35,6 +35,11 @@ COMMANDS = {
     "train": Entry("training:Train", "train an actor, or go on with a run", learns=True),
     "evaluate": Entry("evaluation:Evaluate", "score policies on heaps and record the episodes"),
     "show": Entry("evaluation:Show", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
+    "grasp score": Entry("grasping:Score", "rate grasps on targets: heaps, or your image", True),
+    "grasp lift": Entry("grasping:Lift", "try the best grasps: can the target be lifted?", True),
+    "grasp label": Entry("grasp_learning:Label", "try grasps on heaps: a set to learn from", True),
+    "grasp train": Entry("grasp_learning:Train", "train a grasp network, or go on", True),
+    "grasp test": Entry("grasp_learning:Test", "judge grasp networks on labelled grasps", True),
     "report": Entry("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": Entry("demo:Demo", "the whole way: heaps, training, scores, report", learns=True),
 }

@@ -1,17 +1,19 @@
 """`mechsearch evaluate` and `mechsearch show`."""
 
+import importlib
+import importlib.util
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.metrics import METRICS, score
+from mechsearch.evaluation.metrics import METRICS, Estimate, score
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.parallel import Mapper
@@ -22,6 +24,9 @@ from mechsearch.report.video import FORMATS, write_film
 from mechsearch.runs import write_whole
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
+
+_GRASPING = "mechsearch.cli.graspability"
+"""Imported where it is asked for: it needs PyTorch, which `evaluate` does not."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,8 @@ class Evaluate(Command):
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
         brief: Print the main scores alone.
+        grasp_network: Grasp network (.safetensors or .npz): measures graspability and retrieval of
+            each target before and after; needs PyTorch.
     """
 
     policies: Annotated[
@@ -64,6 +71,7 @@ class Evaluate(Command):
     summary: Path | None = None
     experiment: str = "main"
     brief: bool = False
+    grasp_network: Path | None = None
 
     def run(self) -> None:
         """Evaluate, print the scores, and write episodes and table."""
@@ -73,13 +81,23 @@ class Evaluate(Command):
             )
         for policy in self.policies:
             make_policy(policy)
-        evaluations = []
+        if self.grasp_network:
+            _check_grasp_network(self.grasp_network)
+        evaluations, grasped = [], []
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             for policy in self.policies:
                 evaluations.append(record(self._plan(policy), self.out, workers, mapper))
+                scores: dict[str, Estimate] = {}
+                if self.grasp_network:
+                    grasped.append(self._grasp(evaluations[-1], self.grasp_network))
+                    scores = grasped[-1].scores
                 if self.summary:
-                    summary.merge(self.summary, summary_rows(self.experiment, evaluations[-1]))
+                    rows = summary_rows(self.experiment, evaluations[-1], scores)
+                    summary.merge(self.summary, rows)
         self._print(named(evaluations))
+        if grasped:
+            names = [str(evaluation.header["name"]) for evaluation in evaluations]
+            say(tables.to_text(importlib.import_module(_GRASPING).table(names, grasped)))
         wrote(self.out)
 
     def _plan(self, policy: str) -> EvaluationPlan:
@@ -93,6 +111,11 @@ class Evaluate(Command):
             seed=self.seed,
             camera=self.camera,
         )
+
+    def _grasp(self, evaluation: Evaluation, network: Path) -> Any:
+        module = importlib.import_module(_GRASPING)
+        with bars() as progress:
+            return module.measured(evaluation, network, self.objects, self.workers, progress)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
@@ -167,6 +190,13 @@ class Show(Command):
         return found[0]
 
 
+def _check_grasp_network(path: Path) -> None:
+    """Refuse a grasp network that cannot be read, before anything takes long."""
+    if importlib.util.find_spec("torch") is None:
+        raise MechSearchError("--grasp-network needs PyTorch: install mechsearch[learn]")
+    importlib.import_module("mechsearch.grasp.network").load_network(path)
+
+
 def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> Evaluation:
     """Carry out a plan with a progress bar, and write its episodes into a folder."""
     with bars() as progress:
@@ -175,8 +205,10 @@ def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> 
     return evaluation
 
 
-def summary_rows(experiment: str, evaluation: Evaluation) -> list[summary.SummaryRow]:
-    """Return the rows that an evaluation enters into a summary."""
+def summary_rows(
+    experiment: str, evaluation: Evaluation, more: Mapping[str, Estimate] | None = None
+) -> list[summary.SummaryRow]:
+    """Return the rows that an evaluation, and scores measured besides, enter into a summary."""
     header = evaluation.header
     seed = header["training_seed"] if header["trained"] else header["seed"]
     return summary.rows(
@@ -185,7 +217,7 @@ def summary_rows(experiment: str, evaluation: Evaluation) -> list[summary.Summar
         header["name"],
         header["seed"] if seed is None else seed,
         header["training_actions"],
-        score(evaluation.episodes),
+        {**score(evaluation.episodes), **(more or {})},
     )
 
 

@@ -25,6 +25,9 @@ METRICS = (
 )
 """The scores of an evaluation; each reward term follows them as `term_<name>`."""
 
+GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
+"""Scores that need a grasp network, measured where one is named."""
+
 HIGHER_IS_BETTER = {
     "reward": True,
     "visibility_change": True,

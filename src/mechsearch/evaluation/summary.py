@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import METRICS, Estimate
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate
 from mechsearch.runs import write_whole
 from mechsearch.types import MechSearchError
 
@@ -20,7 +20,7 @@ class SummaryRow:
         variant: Such as "method", "ddpg", "teacher-straight", "random".
         seed: Training seed, or evaluation seed where nothing was trained.
         actions: Training actions behind the policy; 0 where nothing was trained.
-        metric: Name in `evaluation.metrics.METRICS`.
+        metric: Name in `evaluation.metrics.METRICS` or `GRASP_METRICS`.
         mean: Over the held-out heaps.
         ci_low: Lower end of the 95 % interval over heaps.
         ci_high: Upper end.
@@ -60,7 +60,7 @@ def rows(
     actions: int,
     scores: Mapping[str, Estimate],
 ) -> list[SummaryRow]:
-    """Return one row for each of `METRICS` in the scores of one policy."""
+    """Return one row for each of `METRICS`, and of `GRASP_METRICS` where they were measured."""
     return [
         SummaryRow(
             experiment,
@@ -73,7 +73,7 @@ def rows(
             scores[metric].ci_low,
             scores[metric].ci_high,
         )
-        for metric in METRICS
+        for metric in (*METRICS, *(name for name in GRASP_METRICS if name in scores))
     ]
 
 

@@ -1,4 +1,4 @@
-"""Compiles objects, table, pusher and walls for the physics engine."""
+"""Compiles objects, table, pusher or gripper, and walls for the physics engine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,12 +8,13 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.gripper import Gripper, add_gripper
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Floats
 
 AMONG_OBJECTS = 1
-"""Bit of what collides with each other: parts of objects, pusher, walls."""
+"""Bit of what collides with each other: parts of objects, pusher, gripper, walls."""
 
 WITH_TABLE = 2
 """Bit of what rests on the table: one hull of each whole object, which touches a plane where the
@@ -92,8 +93,9 @@ def compile_scene(
     pusher: Pusher | None,
     walls: Sequence[Wall],
     config: PhysicsConfig,
+    gripper: Gripper | None = None,
 ) -> mujoco.MjModel:
-    """Return the engine's model: the objects' free joints first, then the pusher's three slides."""
+    """Return the engine's model: the objects' free joints first, then the robot's slides."""
     spec = mujoco.MjSpec()
     option = spec.option
     option.timestep = config.time_step
@@ -110,6 +112,8 @@ def compile_scene(
     _add_table(spec, workspace)
     if pusher is not None:
         _add_pusher(spec, pusher)
+    if gripper is not None:
+        add_gripper(spec, gripper, AMONG_OBJECTS, WITH_TABLE)
     for i, wall in enumerate(walls):
         _add_wall(spec, i, wall)
     for geom in spec.geoms:

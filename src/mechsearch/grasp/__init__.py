@@ -1,0 +1,1 @@
+"""Graspability: grasp quality networks, their scores, and grasps that are put to the test."""

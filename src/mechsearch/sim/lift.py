@@ -1,0 +1,312 @@
+"""The lift test: descend, close, lift, shake, and see what is between the fingers.
+
+A grasp is the pose (7,) of the gripper's frame in the world: its position is the grasp centre, its
+x axis the closing direction, its z axis the direction against the approach.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import mujoco
+import numpy as np
+
+from mechsearch.geometry import apply, rotation_from_quaternion, transform_from_pose
+from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.gripper import Gripper
+from mechsearch.sim.scene import PhysicsConfig, compile_scene
+from mechsearch.sim.travel import Outlines
+from mechsearch.sim.workspace import Workspace
+from mechsearch.types import Array, Floats, MechSearchError
+
+
+class Outcome(StrEnum):
+    """What became of one grasp."""
+
+    SUCCESS = "success"
+    BLOCKED = "blocked"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    DROPPED = "dropped"
+    WRONG_OBJECT = "wrong object"
+    TWO_OBJECTS = "two objects"
+    FAILURE = "failure"
+
+
+@dataclass(frozen=True)
+class LiftConfig:
+    """How the gripper moves.
+
+    Attributes:
+        physics: Numerical choices.
+        descent_speed: [m/s].
+        headroom: Between the fingers and what they may meet first, at the start [m].
+        blocked_by: How far from its goal the descent may end [m].
+        closing: Time to close [s].
+        height: Of the lift [m].
+        lifting: Time to lift [s].
+        shake: Amplitude of the shake along the approach [m].
+        frequency: Of the shake [Hz].
+        shaking: Time to shake [s].
+        risen: Share of the lift from which an object counts as lifted.
+    """
+
+    physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(time_step=0.004))
+    descent_speed: float = 0.25
+    headroom: float = 0.005
+    blocked_by: float = 0.004
+    closing: float = 0.22
+    height: float = 0.2
+    lifting: float = 0.5
+    shake: float = 0.01
+    frequency: float = 8.0
+    shaking: float = 0.375
+    risen: float = 0.4
+
+    def steps(self, seconds: float) -> int:
+        """Return how many time steps a duration takes."""
+        return max(1, round(seconds / self.physics.time_step))
+
+
+@dataclass(frozen=True)
+class LiftFrame:
+    """One instant of a film.
+
+    Attributes:
+        phase: "descend", "close", "lift" or "shake".
+        poses: Of all objects (N, 7).
+        gripper: Poses of palm and both fingers (3, 7).
+    """
+
+    phase: str
+    poses: Floats
+    gripper: Floats
+
+
+class LiftWorld:
+    """The objects of one heap and a gripper, compiled once for any number of grasps."""
+
+    def __init__(
+        self,
+        models: Sequence[ObjectModel],
+        gripper: Gripper | None = None,
+        config: LiftConfig | None = None,
+        workspace: Workspace | None = None,
+    ) -> None:
+        """Compile a scene of objects, in the order of all poses, a table and a gripper."""
+        self.gripper = gripper or Gripper()
+        self.config = config or LiftConfig()
+        self.workspace = workspace or Workspace()
+        self.count = len(models)
+        self._outlines = Outlines([model.parts for model in models])
+        self._model = compile_scene(
+            models, self.workspace, None, (), self.config.physics, self.gripper
+        )
+        self._data = mujoco.MjData(self._model)
+        names = ("gripper", "finger0", "finger1")
+        body, geom = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
+        self._bodies = [mujoco.mj_name2id(self._model, body, name) for name in names]
+        geoms = ("palm", "finger0", "finger1")
+        self._geoms = [mujoco.mj_name2id(self._model, geom, name) for name in geoms]
+        self._jaws = self._data.qpos[7 * self.count :]
+
+    def lift(
+        self,
+        poses: Array,
+        target: int,
+        grasp: Array,
+        friction: float | None = None,
+        film: list[LiftFrame] | None = None,
+    ) -> Outcome:
+        """Try one grasp; the same arguments give the same outcome.
+
+        Args:
+            poses: Of all objects at rest (N, 7).
+            target: Index of the object to lift.
+            grasp: Pose (7,) of the gripper's frame.
+            friction: Of the fingers; the gripper's own by default.
+            film: Takes the frames, if there is one.
+
+        Raises:
+            MechSearchError: If the poses do not fit the objects, or the target is none of them.
+        """
+        states = np.asarray(poses, np.float64)
+        if states.shape != (self.count, 7) or not 0 <= target < self.count:
+            raise MechSearchError(
+                f"poses of shape {states.shape} with target {target}; this scene has "
+                f"{self.count} objects, so expected ({self.count}, 7) and 0 to {self.count - 1}"
+            )
+        self._reset(states, above_table(np.asarray(grasp, np.float64), self.gripper), friction)
+        attempt = _Attempt(self, states, target, film)
+        return attempt.run()
+
+    def _reset(self, poses: Floats, grasp: Floats, friction: float | None) -> None:
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        body = self._bodies[0]
+        model.body_pos[body], model.body_quat[body] = grasp[:3], grasp[3:]
+        model.geom_friction[self._geoms, 0] = (
+            self.gripper.friction if friction is None else friction
+        )
+        data.qpos[: 7 * self.count] = poses.ravel()
+        self._jaws[0] = self._start_height(poses, grasp)
+        data.ctrl[:] = self._jaws
+        # What rests may sleep after the first step, until something touches it.
+        if self.config.physics.sleep_speed:
+            data.tree_asleep[:] = -1
+
+    def _start_height(self, poses: Floats, grasp: Floats) -> float:
+        """Return how far above the grasp the gripper cannot touch anything yet [m]."""
+        gripper = self.gripper
+        low, high = self._outlines.boxes(poses)
+        rotation = rotation_from_quaternion(grasp[3:])
+        needed = 0.0
+        for half, place in (
+            (gripper.finger_box, gripper.finger_place),
+            (gripper.finger_box, gripper.finger_place * [-1.0, 1.0, 1.0]),
+            (gripper.palm_box, gripper.palm_place),
+        ):
+            centre = grasp[:3] + rotation @ place
+            extent = np.abs(rotation) @ half + 0.002
+            # Along a tilted approach the body also moves sideways.
+            extent[:2] += 0.1 * np.abs(rotation[:2, 2])
+            over = (np.abs(centre[:2] - (low + high)[:, :2] / 2)
+                    < extent[:2] + (high - low)[:, :2] / 2).all(axis=1)  # fmt: skip
+            top = high[over, 2].max(initial=0.0)
+            needed = max(needed, top - (centre[2] - extent[2]))
+        return needed / max(float(rotation[2, 2]), 0.5) + self.config.headroom
+
+
+def above_table(grasp: Floats, gripper: Gripper) -> Floats:
+    """Return the grasp, drawn back along its approach until no tip is too near the table."""
+    rotation = rotation_from_quaternion(grasp[3:])
+    half = gripper.finger_box
+    side = gripper.finger_place[0] + half[0]
+    corners = [[x, y, -gripper.reach] for x in (-side, side) for y in (-half[1], half[1])]
+    lowest = grasp[2] + float((rotation @ np.array(corners).T)[2].min())
+    raised = grasp.copy()
+    if lowest < gripper.clearance:
+        raised[:3] += rotation[:, 2] * (gripper.clearance - lowest) / max(rotation[2, 2], 0.1)
+    return raised
+
+
+class _Attempt:
+    """One grasp under way."""
+
+    def __init__(
+        self, world: LiftWorld, poses: Floats, target: int, film: list[LiftFrame] | None
+    ) -> None:
+        self.world, self.poses, self.target, self.film = world, poses, target, film
+        self.config, self.gripper = world.config, world.gripper
+        self.data, self.model = world._data, world._model
+        self.clock = 0
+
+    def run(self) -> Outcome:
+        if not self._descend():
+            return Outcome.BLOCKED
+        self._close()
+        squeezed = self._touched(0) & self._touched(1)
+        if self._unsound():
+            return Outcome.FAILURE
+        if not (self._touched(0) | self._touched(1)):
+            return Outcome.MISSED
+        if not self._lift():
+            return Outcome.SLIPPED if self.target in squeezed else Outcome.MISSED
+        lifted = self._lifted()
+        if self._unsound():
+            return Outcome.FAILURE
+        if self.target not in lifted:
+            if lifted:
+                return Outcome.WRONG_OBJECT
+            return Outcome.SLIPPED if self.target in squeezed else Outcome.MISSED
+        if len(lifted) > 1:
+            return Outcome.TWO_OBJECTS
+        self._shake()
+        if self._unsound():
+            return Outcome.FAILURE
+        held = self._touched(0) & self._touched(1)
+        return Outcome.SUCCESS if held == {self.target} else Outcome.DROPPED
+
+    def _descend(self) -> bool:
+        """Go down; return whether the grasp was reached."""
+        config, jaws = self.config, self.world._jaws
+        start = float(jaws[0])
+        steps = config.steps(start / config.descent_speed)
+        for step in range(steps + config.steps(0.04)):
+            goal = start * max(0.0, 1.0 - (step + 1) / steps)
+            self._step("descend", goal, 0.0)
+            if jaws[0] - goal > 4 * config.blocked_by + 0.01:
+                return False
+        return bool(jaws[0] < config.blocked_by)
+
+    def _close(self) -> None:
+        config, gripper = self.config, self.gripper
+        steps = config.steps(config.closing)
+        # Beyond contact of the fingers, so that even what is thin feels the whole force.
+        beyond = gripper.opening / 2 + 0.012
+        for step in range(steps):
+            self._step("close", 0.0, beyond * min(1.0, 1.25 * (step + 1) / steps))
+
+    def _lift(self) -> bool:
+        """Lift; return False as soon as the fingers hold nothing."""
+        config = self.config
+        steps = config.steps(config.lifting)
+        for step in range(steps):
+            share = (1 - np.cos(np.pi * (step + 1) / steps)) / 2
+            self._step("lift", config.height * share)
+            if step % 8 == 7 and not (self._touched(0) | self._touched(1)):
+                return False
+        return True
+
+    def _shake(self) -> None:
+        config = self.config
+        for step in range(config.steps(config.shaking)):
+            seconds = (step + 1) * config.physics.time_step
+            sway = config.shake * np.sin(2 * np.pi * config.frequency * seconds)
+            self._step("shake", config.height + sway)
+            if step % 8 == 7 and self.target not in self._touched(0) | self._touched(1):
+                return
+
+    def _step(self, phase: str, height: float, closed: float | None = None) -> None:
+        """Advance one step with the servos' goals: height over the grasp, finger travel."""
+        self.data.ctrl[0] = height
+        if closed is not None:
+            self.data.ctrl[1:] = closed
+        mujoco.mj_step(self.model, self.data)
+        self.clock += 1
+        if self.film is not None and self.clock % 5 == 0:
+            self.film.append(LiftFrame(phase, self._states(), self._gripper_poses()))
+
+    def _touched(self, finger: int) -> set[int]:
+        """Return the objects that touch one finger."""
+        pairs = self.data.contact.geom[: self.data.ncon]
+        own = pairs == self.world._geoms[1 + finger]
+        others = pairs[own[:, ::-1]]
+        bodies = self.model.geom_bodyid[others]
+        return {int(body) - 1 for body in bodies if 1 <= body <= self.world.count}
+
+    def _states(self) -> Floats:
+        return np.array(self.data.qpos[: 7 * self.world.count]).reshape(-1, 7)
+
+    def _lifted(self) -> set[int]:
+        """Return the objects that rose with the gripper."""
+        rise = self._states()[:, 2] - self.poses[:, 2]
+        return set(np.flatnonzero(rise > self.config.risen * self.config.height).tolist())
+
+    def _unsound(self) -> bool:
+        """Return whether the physics went wrong."""
+        data = self.data
+        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+        return not finite or bool(data.warning.number[: int(mujoco.mjtWarning.mjNWARNING)].any())
+
+    def _gripper_poses(self) -> Floats:
+        """Return the poses (3, 7) of the rendered palm and fingers."""
+        palm, *_ = self.world._bodies
+        place = np.array([*self.data.xpos[palm], *self.data.xquat[palm]])
+        palm_pose = place.copy()
+        palm_pose[:3] = apply(transform_from_pose(place), self.gripper.palm_place)
+        fingers = [
+            np.array([*self.data.xpos[body], *self.data.xquat[body]])
+            for body in self.world._bodies[1:]
+        ]
+        return np.stack([palm_pose, *fingers])
