@@ -213,10 +213,10 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         before, poses, present = self._occlusion, self._poses, self._present
         simulated = self._world.push(target)
         self._actions += 1
+        failure = self._world.failure()
+        if failure is not None:
+            return self._end_of_failure(failure)
         if simulated:
-            failure = self._world.failure()
-            if failure is not None:
-                return self._end_of_failure(failure)
             self._update_poses()
         way = self._poses[:, :3] - poses[:, :3]
         moved = np.sqrt((way * way).sum(axis=1)) * present
