@@ -148,3 +148,14 @@ def test_an_evaluation_measures_graspability_and_retrieval(
     assert rows["idle", "retrieval_before"].mean == rows["idle", "retrieval_after"].mean
     absent = failure([*words, "--grasp-network", "absent.npz"], capsys)
     assert "no network at absent.npz" in absent
+
+
+def test_too_few_heaps_to_calibrate_are_named(
+    heaps: Path, network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "idle", "--heaps", str(heaps), "--limit", "1", "--workers", "1", "--brief"]
+    main([*words, "--out", str(tmp_path)])
+    calibrate = ["grasp", "calibrate", str(tmp_path / "idle.npz"), "--network", str(network)]
+    calibrate += ["--workers", "1", "--grasps", "2", "--repeats", "1"]
+    assert "try more heaps" in failure(calibrate, capsys)
+    assert "expected at least one of each" in failure([*calibrate, "--repeats", "0"], capsys)

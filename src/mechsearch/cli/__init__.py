@@ -40,6 +40,7 @@ COMMANDS = {
     "grasp label": Entry("grasp_learning:Label", "try grasps on heaps: a set to learn from", True),
     "grasp train": Entry("grasp_learning:Train", "train a grasp network, or go on", True),
     "grasp test": Entry("grasp_learning:Test", "judge grasp networks on labelled grasps", True),
+    "grasp calibrate": Entry("calibration:Calibrate", "hold scores against lift success", True),
     "report": Entry("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": Entry("demo:Demo", "the whole way: heaps, training, scores, report", learns=True),
 }

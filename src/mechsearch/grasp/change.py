@@ -110,7 +110,8 @@ def _tried(
 
 
 @lru_cache(maxsize=1)
-def _network(path: Path) -> GraspNetwork:
+def shared_network(path: Path) -> GraspNetwork:
+    """Return the network of a file, loaded once in each process."""
     if multiprocessing.parent_process() is not None:
         # Workers share the processors; more threads in each would only get in their way.
         torch.set_num_threads(1)
@@ -119,4 +120,4 @@ def _network(path: Path) -> GraspNetwork:
 
 def _measure(task: ChangeTask) -> Change:
     models = object_set(task.objects).models
-    return measure(_network(task.network), [models[name] for name in task.names], task)
+    return measure(shared_network(task.network), [models[name] for name in task.names], task)

@@ -55,6 +55,10 @@ class Ratings:
             left &= ~alike(centres[first], float(turns[first]), centres, turns)
         return chosen
 
+    def drawn(self, rng: np.random.Generator, count: int) -> list[ImageGrasp]:
+        """Return grasps drawn uniformly from all of them."""
+        return [self._grasp(i) for i in rng.integers(self.quality.size, size=count)]
+
     def _ranked(self, count: int) -> Array:
         """Return indices of the best grasps, best first."""
         flat = self.quality.ravel()
