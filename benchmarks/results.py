@@ -21,7 +21,8 @@ class Figure:
         unit: Of both values.
         peer: What it is compared with, if anything.
         peer_value: The peer's.
-        better: "less" or "more"; the ratio says how many times better ours is.
+        better: "less" or "more": the ratio says how many times better ours is; "neither": there is
+            no ratio.
         note: What else to know about how it was measured.
     """
 
@@ -36,7 +37,7 @@ class Figure:
     @property
     def ratio(self) -> float | None:
         """How many times better ours is than the peer's."""
-        if not self.peer_value or not self.value:
+        if not self.peer_value or not self.value or self.better == "neither":
             return None
         return (
             self.peer_value / self.value if self.better == "less" else self.value / self.peer_value

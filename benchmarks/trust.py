@@ -52,7 +52,9 @@ def measure(settings: Settings) -> Iterator[Figure]:
         )
         settings.say(f"score-{name}: {scores.mean(axis=1).round(2)}, {note}")
         mean = scores.mean(axis=1)
-        yield Figure(f"score-{name}", float(mean[0]), "reward", PEER, float(mean[1]), note=note)
+        yield Figure(
+            f"score-{name}", float(mean[0]), "reward", PEER, float(mean[1]), "neither", note
+        )
     pushed, resting = _overlaps(env(NOTHING_ASLEEP), len(heaps))
     yield Figure("overlap-pushed", 1e3 * float(np.percentile(pushed, 99.9)), "mm", note="99.9 %")
     yield Figure("overlap-at-rest", 1e3 * float(np.percentile(resting, 99.9)), "mm", note="99.9 %")
