@@ -1,7 +1,7 @@
 """The command line: parsing and calls, nothing else.
 
 Each command is a class in a module of this package, which is imported when the command is called:
-help is quick, and only `train`, `demo` and trained policies need PyTorch.
+help is quick, and only `train`, `grasp`, `demo` and trained policies need PyTorch.
 """
 
 import importlib
