@@ -1,4 +1,6 @@
+import time
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -49,6 +51,30 @@ def test_an_episode_line_tells_terms_choices_beliefs_and_updates(whole):
 def test_the_same_seed_gives_the_same_bytes(whole, config, make_parts, tmp_path):
     train(config, make_parts(), tmp_path)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
+
+
+def test_who_finishes_first_changes_nothing(whole, config, make_parts, reach_env, tmp_path):
+    """The world and the networks race in two threads; here the world is slow now and then."""
+
+    class SlowEnv(reach_env):
+        def step(self, action):
+            time.sleep(0.02 * (self.total % 3 == 0))
+            return super().step(action)
+
+    train(config, make_parts(SlowEnv()), tmp_path)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
+
+
+def test_the_collector_stops_at_an_episodes_end_and_goes_on_where_it_was(config, make_parts):
+    session = Session(config, make_parts())
+    first = session.collector.collect(3)
+    again = session.collector.collect(100)
+    episode = first + again
+    assert len(first) == 3
+    assert [done.over for done in episode] == [False] * (len(episode) - 1) + [True]
+    for before, after in pairwise(episode):
+        assert after.obs is before.after
+    assert session.collector.collect(1)[0].obs is not episode[-1].after
 
 
 def test_another_seed_gives_another_run(whole, config, make_parts, tmp_path):
