@@ -5,6 +5,7 @@ and depth is measured along z, not along the ray.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,6 +122,7 @@ PRESETS = {
 `tilted` looks down at about 47 degrees from the -y side."""
 
 
+@lru_cache(maxsize=64)
 def preset(name: str, size: int = 64) -> Camera:
     """Return a named view with square images of `size` [px].
 

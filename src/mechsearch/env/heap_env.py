@@ -315,6 +315,9 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         if not self._present[self.heap.target]:
             return 1.0
         target = int(np.flatnonzero(np.flatnonzero(self._present) == self.heap.target)[0])
+        if self._present.all():
+            bodies, heap = self._renderer.bodies, self.heap
+            return occlusion(bodies, self._camera, self._poses, heap.target)
         bodies = [
             body for body, here in zip(self._renderer.bodies, self._present, strict=True) if here
         ]

@@ -6,8 +6,6 @@ subtracted here.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from mechsearch.types import Array, MechSearchError
 
 IDLENESS = ("every action", "nothing moved")
@@ -91,9 +89,9 @@ def workspace(leaves: bool, config: RewardConfig) -> float:
     return -config.workspace if leaves else 0.0
 
 
-def idleness(moved: Array, config: RewardConfig) -> float:
-    """Return the idleness penalty; `moved` (N,) [m] are all objects' displacements."""
-    busy = config.idle_when == "nothing moved" and bool((moved > config.still).any())
+def idleness(moved: float, config: RewardConfig) -> float:
+    """Return the idleness penalty; `moved` [m] is the largest displacement of an object."""
+    busy = config.idle_when == "nothing moved" and moved > config.still
     return 0.0 if busy else -config.idleness
 
 
@@ -121,5 +119,5 @@ def terms(
         clutter_movement=clutter_movement(gain, clutter_moved, config),
         target_movement=target_movement(target_moved, config),
         workspace=workspace(leaves_workspace, config),
-        idleness=idleness(np.append(clutter_moved, target_moved), config),
+        idleness=idleness(max(clutter_moved.max(initial=0.0), target_moved), config),
     )

@@ -7,14 +7,15 @@ amodal mask. What an object shows is kept until it moves.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
-from mechsearch.render.body import NO_HIT, Body, body_of
-from mechsearch.render.view import View
+from mechsearch.render.body import NO_HIT, body_of
+from mechsearch.render.view import View, corners_of
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -23,8 +24,7 @@ _TABLE_COLOUR = np.array([196, 186, 170], np.float64)
 _FLOOR_COLOUR = np.array([90, 92, 96], np.float64)
 
 
-@dataclass(frozen=True)
-class Patch:
+class Patch(NamedTuple):
     """What one body shows: distances (h, w) in some rows and columns of the frame."""
 
     where: tuple[slice, slice]
@@ -103,6 +103,7 @@ class Renderer:
         """
         self.bodies = [body_of(model) for model in models]
         self._pusher = body_of(pusher) if pusher is not None else None
+        self._all = (*self.bodies, self._pusher) if self._pusher else (*self.bodies,)
         self._table_half = table_half
         self._floor = floor
         self._seen: dict[Camera, _Seen] = {}
@@ -153,13 +154,13 @@ class Renderer:
         moved = np.ones(len(states), np.bool_)
         if seen.frame is not None:
             moved = (states != seen.poses).any(axis=1)
-        which = np.flatnonzero(moved).tolist()
-        bodies, poses = [self.bodies[i] for i in which], states[moved]
+        which = moved.nonzero()[0].tolist()
+        cast, poses = list(which), states[moved]
         if self._pusher is not None and pusher is not None:
-            bodies.append(self._pusher)
-            poses = np.vstack([poses, pusher])
-        patches = _cast(seen, bodies, poses)
-        shown = patches.pop() if len(bodies) > len(which) else None
+            cast.append(len(self.bodies))
+            poses = np.concatenate([poses, np.asarray(pusher, np.float64)[None]])
+        patches = self._cast(seen, cast, poses)
+        shown = patches.pop() if len(cast) > len(which) else None
         if seen.frame is None or which:
             kept = seen.patches or [_nothing(seen)] * len(states)
             for i, patch in zip(which, patches, strict=True):
@@ -167,6 +168,23 @@ class Renderer:
             seen.patches, seen.poses = kept, states.copy()
             seen.frame = self._composed(seen)
         return seen.frame, shown
+
+    def _cast(self, seen: _Seen, which: list[int], poses: Floats) -> list[Patch]:
+        """Return what some bodies, the pusher being the last, show in the frame."""
+        shown = seen.view.appearances(corners_of(self._all)[which], poses)
+        patches = []
+        for i, index in enumerate(which):
+            block = shown.blocks[i].within(seen.view.frame)
+            if block.empty:
+                patches.append(_nothing(seen))
+                continue
+            where = block.of
+            rays = seen.rays[where]
+            depth = self._all[index].depths(
+                shown.starts[i], rays.reshape(-1, 3), shown.rotations[i]
+            )
+            patches.append(Patch(where, depth.reshape(rays.shape[:2])))
+        return patches
 
     def _composed(self, seen: _Seen) -> Frame:
         depth = seen.empty.copy()
@@ -183,7 +201,8 @@ class Renderer:
             body = self._pusher if identity == PUSHER else self.bodies[identity]
             pose = np.asarray(pusher if identity == PUSHER else states[identity], np.float64)
             assert body is not None
-            shown, pixels = seen.view.appearances([body], pose[None]), ids == identity
+            shown = seen.view.appearances(body.corners[None], pose[None])
+            pixels = ids == identity
             hits = body.cast(shown.starts[0], seen.rays[pixels], shown.rotations[0])
             rgb[pixels] = body.colours(hits, shown.rotations[0])
         return rgb
@@ -209,22 +228,6 @@ class Renderer:
 
 def _nothing(seen: _Seen) -> Patch:
     return Patch((slice(0), slice(0)), seen.empty[:0, :0])
-
-
-def _cast(seen: _Seen, bodies: Sequence[Body], poses: Floats) -> list[Patch]:
-    """Return what bodies at poses (N, 7) show in the frame."""
-    shown = seen.view.appearances(bodies, poses)
-    patches = []
-    for i, body in enumerate(bodies):
-        block = shown.blocks[i].within(seen.view.frame)
-        if block.empty:
-            patches.append(_nothing(seen))
-            continue
-        where = block.of
-        rays = seen.rays[where]
-        depth = body.depths(shown.starts[i], rays.reshape(-1, 3), shown.rotations[i])
-        patches.append(Patch(where, depth.reshape(rays.shape[:2])))
-    return patches
 
 
 def _compose(

@@ -1,7 +1,7 @@
 """A camera's rays, and where objects may appear in its image."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +62,12 @@ class Appearances:
     rotations: NDArray[np.float32]
 
 
+@lru_cache(maxsize=64)
+def corners_of(bodies: tuple[Body, ...]) -> Floats:
+    """Return the corners (N, 8, 3) of all bodies' boxes, each in its own frame [m]."""
+    return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
+
+
 class View:
     """Rays of a camera through the centres of its pixels."""
 
@@ -91,12 +97,11 @@ class View:
         self._last = block, single
         return single
 
-    def appearances(self, bodies: Sequence[Body], poses: Floats) -> Appearances:
-        """Return where bodies at poses (N, 7) appear, by their bounding boxes."""
+    def appearances(self, corners: Floats, poses: Floats) -> Appearances:
+        """Return where bodies at poses (N, 7) appear, by the corners (N, 8, 3) of their boxes."""
         rotations = rotation_from_quaternion(poses[:, 3:])
         offsets = self.origin - poses[:, :3]
         starts = (offsets[:, None] @ rotations)[:, 0]
-        corners = np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
         # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
         local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)
         z = local[..., 2:]

@@ -7,7 +7,7 @@ import numpy as np
 
 from mechsearch.camera import Camera
 from mechsearch.render.body import NO_HIT, Body
-from mechsearch.render.view import View
+from mechsearch.render.view import View, corners_of
 from mechsearch.types import Array
 
 
@@ -28,7 +28,7 @@ def occlusion(
         density: Rays for each pixel, along each axis.
     """
     view = _dense(camera, density)
-    shown = view.appearances(bodies, np.asarray(poses, np.float64))
+    shown = view.appearances(corners_of(tuple(bodies)), np.asarray(poses, np.float64))
     blocks = shown.blocks
     rays = view.rays(blocks[target])
 
