@@ -61,7 +61,7 @@ def test_poses_are_returned_as_they_were_set(workload):
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-def test_a_push_of_12_cm_moves_a_cube_equally_far_in_both_stacks_within_8_mm(boxes, rigid):
+def test_a_push_of_12_cm_moves_a_cube_equally_far_in_both_stacks_within_1_cm(boxes, rigid):
     cube = [boxes.models["cube"]]
     ours, start = World(cube, pusher=Pusher()), np.array([-0.08, 0.0, 0.03])
     ours.reset(CUBE, start)
@@ -72,7 +72,7 @@ def test_a_push_of_12_cm_moves_a_cube_equally_far_in_both_stacks_within_8_mm(box
                 world.push(np.array([x, 0.0, 0.03]))
         assert peer.pusher_position == pytest.approx(ours.pusher_position, abs=0.002)
         assert ours.poses[0, 0] > 0.09
-        assert peer.poses[0, :3] == pytest.approx(ours.poses[0, :3], abs=0.008)
+        assert peer.poses[0, :3] == pytest.approx(ours.poses[0, :3], abs=0.01)
 
 
 def test_the_peers_pusher_keeps_to_its_command_in_free_air(boxes):
