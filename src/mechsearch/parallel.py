@@ -51,7 +51,7 @@ def raise_failure(item: object, failure: Failure) -> NoReturn:
 
 
 class Mapper(Protocol):
-    """How work is spread; `map_in_order` on this machine, `experiments.cluster.RayMap` on many."""
+    """How work is spread; `map_in_order` on this machine, `experiments.cluster.ray_map` on many."""
 
     def __call__(
         self,

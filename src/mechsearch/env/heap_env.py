@@ -192,7 +192,6 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self._world, self._renderer = self._scene_of(index)
         self._world.reset(heap.poses, self._sample_start(rng))
         self._poses = self._world.poses
-        self._others = np.arange(len(heap.objects)) != heap.target
         self._present = np.ones(len(heap.objects), np.bool_)
         self._occlusion = self._measure_occlusion()
         self._actions = 0
@@ -220,7 +219,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             self._update_poses()
         way = self._poses[:, :3] - poses[:, :3]
         moved = np.sqrt((way * way).sum(axis=1)) * present
-        clutter = moved[self._others]
+        clutter = moved[np.arange(len(moved)) != self.heap.target]
         if simulated and not np.array_equal(self._poses, poses):
             self._occlusion = self._measure_occlusion()
         reward = terms(
@@ -262,7 +261,6 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self._world, self._renderer = self._scene_of(self._heap_index)
         self._world.restore(snapshot["world"])
         self._poses = np.array(snapshot["poses"])
-        self._others = np.arange(len(self.heap.objects)) != self.heap.target
         self._present = np.array(snapshot["present"])
         self._occlusion = float(snapshot["occlusion"])
         self._actions = int(snapshot["actions"])
@@ -314,10 +312,9 @@ class HeapEnv(gymnasium.Env[Any, Array]):
     def _measure_occlusion(self) -> float:
         if not self._present[self.heap.target]:
             return 1.0
-        target = int(np.flatnonzero(np.flatnonzero(self._present) == self.heap.target)[0])
         if self._present.all():
-            bodies, heap = self._renderer.bodies, self.heap
-            return occlusion(bodies, self._camera, self._poses, heap.target)
+            return occlusion(self._renderer.bodies, self._camera, self._poses, self.heap.target)
+        target = int(self._present[: self.heap.target].sum())
         bodies = [
             body for body, here in zip(self._renderer.bodies, self._present, strict=True) if here
         ]

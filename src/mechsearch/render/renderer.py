@@ -104,6 +104,7 @@ class Renderer:
         self.bodies = [body_of(model) for model in models]
         self._pusher = body_of(pusher) if pusher is not None else None
         self._all = (*self.bodies, self._pusher) if self._pusher else (*self.bodies,)
+        self._corners = corners_of(self._all)
         self._table_half = table_half
         self._floor = floor
         self._seen: dict[Camera, _Seen] = {}
@@ -171,7 +172,7 @@ class Renderer:
 
     def _cast(self, seen: _Seen, which: list[int], poses: Floats) -> list[Patch]:
         """Return what some bodies, the pusher being the last, show in the frame."""
-        shown = seen.view.appearances(corners_of(self._all)[which], poses)
+        shown = seen.view.appearances(self._corners[which], poses)
         patches = []
         for i, index in enumerate(which):
             block = shown.blocks[i].within(seen.view.frame)

@@ -86,8 +86,10 @@ class View:
 
         Those of the last block are kept: not to be written into.
         """
-        if self._last is not None and self._last[0] == block:
-            return self._last[1]
+        # Read once: views are shared, and another thread may look elsewhere meanwhile.
+        last = self._last
+        if last is not None and last[0] == block:
+            return last[1]
         camera = self.camera
         u = (np.arange(block.left, block.right) - camera.cx) / camera.fx
         v = (np.arange(block.top, block.bottom) - camera.cy) / camera.fy

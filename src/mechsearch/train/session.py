@@ -42,9 +42,8 @@ class Session:
         seeds = np.random.SeedSequence(config.seed).spawn(3)
         names = ("episodes", "exploration", "batches")
         self.rngs = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
-        behaviour = Behaviour(self.learner, config.seed + 1)
-        self.collector = Collector(config, parts, behaviour, self.rngs)
-        self.behaviour = behaviour
+        self.behaviour = Behaviour(self.learner, config.seed + 1)
+        self.collector = Collector(config, parts, self.behaviour, self.rngs)
         self.episode: EpisodeLog | None = None
         self.counts = {"step": 0, "episodes": 0, "updates": 0, "failures": 0}
 
@@ -74,8 +73,9 @@ class Session:
         self._remember(done)
         if not done.over:
             return None
+        # What is due for the episode belongs in its summary.
+        self.update()
         episode, self.episode = self.episode, None
-        self.update(episode)
         return episode.summary(done.terminated, done.info)
 
     def _remember(self, done: Transition) -> None:
@@ -88,16 +88,15 @@ class Session:
         if done.over:
             self.replay.end(done.after)
 
-    def update(self, episode: EpisodeLog | None = None) -> None:
+    def update(self) -> None:
         """Take the gradient steps that are due for all that is stored."""
         since = max(self.step - self.config.warmup, 0)
         due = int(since * self.config.updates_per_action)
         while self.counts["updates"] < due and len(self.replay):
             metrics = self.learner.update(self.replay, self.rngs["batches"])
             self.counts["updates"] += 1
-            log = episode or self.episode
-            if log is not None:
-                log.add_update(metrics)
+            if self.episode is not None:
+                self.episode.add_update(metrics)
 
     def archive(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Return tensors and facts that `restore` takes back, between two episodes."""
