@@ -1,0 +1,98 @@
+"""Tables of an experiment: scores over seeds and heaps, and how each policy came about."""
+
+import json
+
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, share_interval
+from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
+from mechsearch.report.document import Grid
+from mechsearch.report.experiment import Condition, Experiment
+from mechsearch.report.tables import Table, cell, display
+
+NOTE = (
+    "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed). "
+    "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
+    "all its actions. Clutter moved is the path length of a non-target object."
+)
+
+
+def score_grid(condition: Condition) -> Grid:
+    """Return policies in rows and every metric that one of them has in columns."""
+    metrics = [
+        metric
+        for metric in (*METRICS, *GRASP_METRICS)
+        if any(condition.measured(name, metric) for name in condition.trials)
+    ]
+    columns = ("policy", "seeds", "heaps", *(display(metric).label for metric in metrics))
+    rows = []
+    for name, trials in condition.trials.items():
+        cells = []
+        for metric in metrics:
+            found = condition.measured(name, metric)
+            cells.append(cell(metric, estimate(condition, name, metric)) if found else "")
+        heaps = condition.matrices([name], METRICS[0])[0].shape[1]
+        rows.append((name, str(len(trials)), str(heaps), *cells))
+    return Grid(Table(f"Scores in {condition.name} heaps", columns, tuple(rows)))
+
+
+def count_grid(condition: Condition, metric: str) -> Grid:
+    """Return policies in rows and one metric by number of objects in columns."""
+    counts = condition.counts
+    rows = []
+    for name, trials in condition.trials.items():
+        cells = []
+        for count in counts:
+            present = all((trial.counts == count).any() for trial in trials)
+            cells.append(cell(metric, estimate(condition, name, metric, count)) if present else "")
+        rows.append((name, *cells))
+    columns = ("policy", *(f"{count} objects" for count in counts))
+    caption = f"{display(metric).label} in {condition.name} heaps, by number of objects"
+    return Grid(Table(caption, columns, tuple(rows)))
+
+
+def estimate(condition: Condition, name: str, metric: str, count: int | None = None) -> Estimate:
+    """Return a policy's mean over seeds and heaps."""
+    values = condition.matrices([name], metric, count)[0]
+    # Outcomes that are all alike leave a bootstrap nothing to draw from.
+    if set(values.ravel().tolist()) in ({0.0}, {1.0}) and _is_share(metric):
+        return share_interval(values.mean(axis=0))
+    return mean_over_seeds_and_heaps(values)
+
+
+def trials_grid(condition: Condition) -> Grid:
+    """Return how each scored policy came about."""
+    rows = []
+    for trials in condition.trials.values():
+        for trial in trials:
+            header = trial.header
+            lost = len(header.get("quarantined", ()))
+            rows.append(
+                (
+                    f"{trial.name}, seed {trial.seed}",
+                    f"{trial.actions:,}" if trial.trained else "none",
+                    str(len(trial.heaps)),
+                    str(lost) if lost else "none",
+                    ", ".join(map(str, header.get("keys", ()))),
+                    trial.path.name,
+                )
+            )
+    first = next(iter(condition.trials.values()))[0].header
+    facts = {
+        "heap set": first.get("heap_set"),
+        "objects": first.get("object_set"),
+        "mechsearch": first.get("version"),
+        "engine": first.get("engine"),
+    }
+    said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
+    columns = ("policy", "training actions", "heaps", "left out", "observes", "file")
+    caption = f"{condition.name.capitalize()} heaps: {said}"
+    return Grid(Table(caption, columns, tuple(rows)), words=True)
+
+
+def plan_text(experiment: Experiment) -> str:
+    """Return the plan that the experiments follow, in a line."""
+    plain = json.dumps(experiment.plan, sort_keys=True)
+    return f"The plan of the experiments: {plain.strip('{}')}."
+
+
+def _is_share(metric: str) -> bool:
+    return metric == "uncovered_rate" or metric.startswith("retrieval_")
