@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.report.failure_modes import (
+    ASTRAY,
     BACK_AND_FORTH,
     FAILED,
     HOVERING,
@@ -57,7 +58,7 @@ def touched(record: EpisodeRecord, actions: range) -> EpisodeRecord:
     return replace(record, poses=poses)
 
 
-@pytest.mark.parametrize("period", [1, 2, 3])
+@pytest.mark.parametrize("period", [1, 2])
 def test_turning_round_again_and_again_without_touching_is_back_and_forth(period: int) -> None:
     assert behaviour(still_episode(to_and_fro(period))).mode == BACK_AND_FORTH
 
@@ -65,6 +66,19 @@ def test_turning_round_again_and_again_without_touching_is_back_and_forth(period
 def test_moving_about_without_touching_is_hovering() -> None:
     found = behaviour(still_episode(circle()))
     assert (found.mode, found.stretch) == (HOVERING, ACTIONS)
+
+
+def test_random_commands_are_not_back_and_forth() -> None:
+    """They reverse now and then, in a quarter of the turns at most times."""
+    rng = np.random.default_rng(0)
+    modes = [behaviour(still_episode(rng.uniform(-0.03, 0.03, (50, 3)))).mode for _ in range(200)]
+    assert modes.count(BACK_AND_FORTH) < 20
+
+
+def test_moving_about_far_from_the_target_is_astray() -> None:
+    record = still_episode(circle())
+    elsewhere = record.ee_positions + np.array([0.3, 0, 0])
+    assert behaviour(replace(record, ee_positions=elsewhere)).mode == ASTRAY
 
 
 def test_an_end_effector_that_hardly_moves_stands_still() -> None:
@@ -130,5 +144,5 @@ def test_the_table_counts_every_episode_once_with_wilson_s_interval() -> None:
 
 
 def test_the_definition_names_every_threshold() -> None:
-    for words in ("1 mm", "20 actions", "5 mm", "25%", "120°"):
+    for words in ("1 mm", "20 actions", "5 mm", "25%", "40%", "15 cm", "120°"):
         assert words in definition()

@@ -20,32 +20,30 @@ from mechsearch.report.pdf import write_pdf
 from mechsearch.runs import write_whole
 from mechsearch.types import MechSearchError
 
-TITLE = "Uncovering a target in a heap"
-
 
 @dataclass(frozen=True)
 class Report(Command):
     """Write one HTML page from recorded episodes and run directories, or plot a summary.
 
-    Of a folder that `mechsearch sweep` wrote: its claims, figures, scores and failures, as a page, as
-    a PDF, and as SVG and CSV files in a folder beside them.
+    Of a folder that `mechsearch sweep` wrote: its claims, figures, scores and failures, as a page,
+    as a PDF, and as SVG and CSV files in a folder beside them.
 
     Attributes:
         sources: A sweep's folder; or evaluations (.npz), run directories, and folders of either; or
             one summary (.csv).
         out: Page (.html) to write, or plot (.svg) of a summary.
-        pdf: The same for print, of a sweep's folder; beside the page by default.
         title: Of the page.
         objects: Object set for the pictures; the one that the evaluations name by default.
         pictures: Whether to draw episodes.
+        pdf: The same for print, of a sweep's folder; beside the page by default.
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
     out: Path = Path("report.html")
-    pdf: Path | None = None
-    title: str = TITLE
+    title: str = "Uncovering a target in a heap"
     objects: str = ""
     pictures: bool = True
+    pdf: Path | None = None
 
     def run(self) -> None:
         """Write the page or the plot."""

@@ -1,13 +1,14 @@
 """Intervals that respect training seeds and heaps: a crossed bootstrap.
 
 A policy trained S times and run on H heaps gives a matrix (S, H). Seeds and heaps are drawn anew
-with replacement, each by itself (Owen, 2007, "The pigeonhole bootstrap"); policies on the same heaps
-share the draw of heaps, which pairs them, and have their own draws of seeds.
+with replacement, each by itself (Owen, 2007, "The pigeonhole bootstrap"); policies on the same
+heaps share the draw of heaps, which pairs them, and have their own draws of seeds.
 
-Percentiles of a bootstrap over few seeds are too narrow: n values scatter less about their own mean
-than about the true one, and Student's t, not the normal, describes the mean of few. Effects of
-seeds and of heaps are therefore stretched by sqrt(n / (n - 1)) t / z before the draw, the correction
-that Hesterberg (2015) makes to the percentiles. With one seed the interval covers heaps only.
+Percentiles of a bootstrap over few seeds are too narrow: n values scatter less about their own
+mean than about the true one, and Student's t, not the normal, describes the mean of few. Effects of
+seeds and of heaps are therefore stretched by sqrt(n / (n - 1)) t / z before the draw, the
+correction that Hesterberg (2015) makes to the percentiles. With one seed the interval covers heaps
+only.
 """
 
 from collections.abc import Sequence
@@ -83,8 +84,11 @@ def mean_over_seeds_and_heaps(values: Floats) -> Estimate:
 
 def _draws(number: int, rng: np.random.Generator, samples: int) -> Floats:
     """Return how much each of `number` things weighs in every draw (samples, number)."""
-    drawn: Floats = rng.multinomial(number, np.full(number, 1 / number), size=samples) / number
-    return drawn
+    # Numbered through, so that one count over all draws tells them apart.
+    chosen = rng.integers(0, number, (samples, number)) + number * np.arange(samples)[:, None]
+    counts = np.bincount(chosen.ravel(), minlength=samples * number)
+    weights: Floats = counts.reshape(samples, number) / number
+    return weights
 
 
 def _factor(number: int) -> float:

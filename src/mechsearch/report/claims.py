@@ -33,11 +33,11 @@ CLOSE = {"single": 0.60, "dual": 0.45}
 """Share of the gap from which a policy without privileged information is close to the teachers."""
 
 NOTE = (
-    "Every row compares one number with a threshold. It holds if the whole 95 % interval lies on the "
-    "claimed side, does not hold if it lies on the other, and is undecided if it contains the "
-    "threshold. Intervals come from a bootstrap that draws training seeds and heaps, each by itself, "
-    "and is widened for small numbers of either; policies in one condition are paired heap by heap. "
-    "A claim holds if all its rows hold, and fails if one of them does. Idle and random stand for "
+    "Every row compares one number with a threshold. It holds if the whole 95 % interval lies on "
+    "the claimed side, does not hold if it lies on the other, and is undecided if it contains the "
+    "threshold. Intervals come from a bootstrap that draws training seeds and heaps, each by "
+    "itself, and is widened for small numbers of either; policies in one condition are paired heap "
+    "by heap. A claim holds if all its rows hold, and fails if one of them does. Idle and random stand for "
     "the untrained policy."
 )
 
@@ -120,13 +120,9 @@ PAPER = (
     Claim("The teachers are essential.", _essential("no-teachers")),
     Claim("The asymmetry of actor and critic is essential.", _essential("no-asymmetry")),
     Claim(
-        "Without the position image the policy holds up in single heaps: it loses less than a tenth "
-        "of the gap.",
-        (
-            ShareOfGap(
-                "single", "reward", "method", SMALL, above=False, lost_by="no-pose-input"
-            ),
-        ),
+        "Without the position image the policy holds up in single heaps: it loses less than a "
+        "tenth of the gap.",
+        (ShareOfGap("single", "reward", "method", SMALL, above=False, lost_by="no-pose-input"),),
     ),
     Claim(
         "Without the position image it does not hold up in dual heaps: it loses more than a tenth.",
@@ -154,8 +150,8 @@ GOALS = (
     ),
     Claim("It moves the clutter less than any teacher.", _less_clutter("plus")),
     Claim(
-        "In dual heaps it closes at least 85 % of the gap in reward, and makes at least 90 % of the "
-        "best teacher's change visible.",
+        "In dual heaps it closes at least 85 % of the gap in reward, and makes at least 90 % of "
+        "the best teacher's change visible.",
         (
             ShareOfGap("dual", "reward", "plus", 0.85),
             ShareOfGap("dual", "visibility_change", "plus", 0.9, from_nothing=True),

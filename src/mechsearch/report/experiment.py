@@ -92,9 +92,7 @@ class Condition:
         trials = self.trials.get(name, ())
         return bool(trials) and all(metric in trial.values for trial in trials)
 
-    def matrices(
-        self, names: Sequence[str], metric: str, count: int | None = None
-    ) -> list[Floats]:
+    def matrices(self, names: Sequence[str], metric: str, count: int | None = None) -> list[Floats]:
         """Return each policy's values (S, H) by seed and heap, on the heaps that all share.
 
         Args:
@@ -116,7 +114,9 @@ class Condition:
                 f"{', '.join(names)} share no {self.name} heap; a comparison needs the same heaps"
             )
         return [
-            np.array([t.values[metric][np.searchsorted(t.heaps, shared)] for t in self.trials[name]])
+            np.array(
+                [t.values[metric][np.searchsorted(t.heaps, shared)] for t in self.trials[name]]
+            )
             for name in names
         ]
 

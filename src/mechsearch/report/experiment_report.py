@@ -21,7 +21,9 @@ from mechsearch.report.tables import Table
 
 _OVERVIEW_WIDTHS = (62, 16, 22)
 _DETAIL_WIDTHS = (22, 44, 13, 26)
-_PANELS = "One panel for all heaps and one for each number of objects in a heap. Bars: 95 % intervals."
+_PANELS = (
+    "One panel for all heaps and one for each number of objects in a heap. Bars: 95 % intervals."
+)
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def document(
 
 
 def numbers(analysis: Analysis) -> dict[str, list[tuple[str, ...]]]:
-    """Return rows of numbers behind claims and figures, by a name for their file; headings first."""
+    """Return rows behind claims and figures, by a name for their file; headings first."""
     return {
         "claims": claims.as_rows((*analysis.paper, *analysis.goals)),
         "learning": learning.curve_rows(analysis.experiment),

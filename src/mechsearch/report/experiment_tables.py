@@ -1,6 +1,8 @@
 """Tables of an experiment: scores over seeds and heaps, and how each policy came about."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, share_interval
 from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
@@ -9,8 +11,8 @@ from mechsearch.report.experiment import Condition, Experiment
 from mechsearch.report.tables import Table, cell, display
 
 NOTE = (
-    "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed). "
-    "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
+    "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed)."
+    " Every episode counts, lost targets and failed simulations included; an unfinished one counts "
     "all its actions. Clutter moved is the path length of a non-target object."
 )
 
@@ -55,7 +57,11 @@ def estimate(condition: Condition, name: str, metric: str, count: int | None = N
     # Outcomes that are all alike leave a bootstrap nothing to draw from.
     if set(values.ravel().tolist()) in ({0.0}, {1.0}) and _is_share(metric):
         return share_interval(values.mean(axis=0))
-    return mean_over_seeds_and_heaps(values)
+    found = mean_over_seeds_and_heaps(values)
+    if not _is_share(metric):
+        return found
+    # Of few seeds an interval may end beyond what a share can be.
+    return replace(found, ci_low=max(0.0, found.ci_low), ci_high=min(1.0, found.ci_high))
 
 
 def trials_grid(condition: Condition) -> Grid:
@@ -78,7 +84,7 @@ def trials_grid(condition: Condition) -> Grid:
     first = next(iter(condition.trials.values()))[0].header
     facts = {
         "heap set": first.get("heap_set"),
-        "objects": first.get("object_set"),
+        "objects": Path(str(first.get("object_set", ""))).name,
         "mechsearch": first.get("version"),
         "engine": first.get("engine"),
     }

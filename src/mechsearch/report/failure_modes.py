@@ -3,7 +3,8 @@
 The paper shows two: actions that repeat "back-and-forth without causing any change in the
 environment", and an end effector that moves "near the target object but does not interact with the
 objects occluding it". Both are long stretches of actions in which nothing moves; what tells them
-apart is whether the end effector keeps reversing.
+apart is whether the end effector keeps reversing. Random commands reverse in a quarter of their
+turns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,11 +21,12 @@ from mechsearch.types import Floats
 SUCCESS = "success"
 BACK_AND_FORTH = "back and forth"
 HOVERING = "hovering"
+ASTRAY = "astray"
 STANDING = "standing still"
 UNFINISHED = "unfinished"
 LOST = "target lost"
 FAILED = "failed simulation"
-MODES = (SUCCESS, BACK_AND_FORTH, HOVERING, STANDING, UNFINISHED, LOST, FAILED)
+MODES = (SUCCESS, BACK_AND_FORTH, HOVERING, ASTRAY, STANDING, UNFINISHED, LOST, FAILED)
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class ModeConfig:
         step: Displacement from which the end effector has moved in one action [m].
         reversal: Angle between successive moves from which the second reverses the first [rad].
         reversals: Share of reversals among the turns of the stretch that make it back and forth.
+        near: Median horizontal distance to the target up to which the end effector is near it [m].
         standing: Share of moves in the stretch below which the end effector stands still.
     """
 
@@ -45,7 +48,8 @@ class ModeConfig:
     stretch: int = 20
     step: float = 5e-3
     reversal: float = np.radians(120)
-    reversals: float = 0.25
+    reversals: float = 0.4
+    near: float = 0.15
     standing: float = 0.25
 
 
@@ -67,14 +71,17 @@ DEFAULT = ModeConfig()
 
 def definition(config: ModeConfig = DEFAULT) -> str:
     """Return in words what the modes are."""
+    turn = f"{np.degrees(config.reversal):.0f}°"
     return (
         f"An episode that ends uncovered is a success. Any other in which no object moves by more "
         f"than {config.still * 1000:.0f} mm for {config.stretch} actions in a row is judged by its "
         f"longest such stretch: “{STANDING}” if the end effector moves {config.step * 1000:.0f} mm "
         f"or more in less than {config.standing:.0%} of the actions; “{BACK_AND_FORTH}” if at "
-        f"least {config.reversals:.0%} of its successive moves turn by {np.degrees(config.reversal):.0f}° "
-        f"or more; else “{HOVERING}”. The remaining ones are “{UNFINISHED}” (it moved objects "
-        f"until the last action), “{LOST}” or “{FAILED}”."
+        f"least {config.reversals:.0%} of its successive moves turn by {turn} or more (random "
+        f"commands do in a quarter); else “{HOVERING}” if it is mostly within "
+        f"{config.near * 100:.0f} cm of the target, seen from above, and “{ASTRAY}” if not. The "
+        f"remaining ones are “{UNFINISHED}” (it moved objects now and then), “{LOST}” or "
+        f"“{FAILED}”."
     )
 
 
@@ -90,7 +97,10 @@ def behaviour(record: EpisodeRecord, config: ModeConfig = DEFAULT) -> Behaviour:
         return Behaviour(FAILED, stretch)
     if stretch < config.stretch:
         return Behaviour(UNFINISHED, stretch)
-    return Behaviour(_stuck(np.diff(record.ee_positions[first : last + 1], axis=0), config), stretch)
+    path = record.ee_positions[first : last + 1]
+    target = record.poses[first : last + 1, record.target, :2]
+    distance = float(np.median(np.linalg.norm(path[:, :2] - target, axis=1)))
+    return Behaviour(_stuck(np.diff(path, axis=0), distance, config), stretch)
 
 
 def largest_movement(record: EpisodeRecord) -> Floats:
@@ -139,9 +149,10 @@ def mode_table(modes: Mapping[str, Sequence[str]], caption: str) -> Table:
     return Table(caption, columns, tuple(rows))
 
 
-def _stuck(steps: Floats, config: ModeConfig) -> str:
+def _stuck(steps: Floats, distance: float, config: ModeConfig) -> str:
     moves = steps[np.linalg.norm(steps, axis=1) >= config.step]
     if len(moves) < config.standing * len(steps):
         return STANDING
-    back = reversal_share(moves, config.reversal) >= config.reversals
-    return BACK_AND_FORTH if back else HOVERING
+    if reversal_share(moves, config.reversal) >= config.reversals:
+        return BACK_AND_FORTH
+    return HOVERING if distance <= config.near else ASTRAY

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -41,8 +42,10 @@ class Curve:
 
 
 def curve(runs: Sequence[Run], metric: str, kind: str) -> Curve | None:
-    """Return one metric over the steps that all the runs were scored at; None if there are none."""
-    series = [run.series(kind, metric) for run in runs]
+    """Return one metric at the actions that all runs were scored at; None if there are none."""
+    # Steps of imitation are updates, not actions.
+    acting = [run for run in runs if not run.records.get("imitation")]
+    series = [run.series(kind, metric) for run in acting]
     shared = set(series[0][0]) if series else set()
     for steps, _ in series:
         shared &= set(steps)
@@ -59,9 +62,7 @@ def curve(runs: Sequence[Run], metric: str, kind: str) -> Curve | None:
 
 def scored_on(experiment: Experiment) -> str:
     """Return which evaluations the curves show: on held-out heaps, wherever a run has them."""
-    runs = [
-        run for c in experiment.conditions.values() for runs in c.runs.values() for run in runs
-    ]
+    runs = [run for c in experiment.conditions.values() for runs in c.runs.values() for run in runs]
     return next((kind for kind in EVALUATIONS if any(run.records.get(kind) for run in runs)), "")
 
 
@@ -101,85 +102,69 @@ def _draw(
             _panel(ax, condition, metric, variants, kind)
             if i // columns == len(metrics) - 1:
                 ax.set_xlabel("training actions")
-        labels: dict[str, object] = {}
+        labels: dict[str, Artist] = {}
         for ax in axes:
             handles, names = ax.get_legend_handles_labels()
             labels |= {n: h for n, h in zip(names, handles, strict=True) if n not in labels}
         if labels:
-            figure.legend(
-                list(labels.values()), list(labels), loc="outside lower center", ncols=4
-            )
+            figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncols=4)
     return figure
 
 
-def _panel(
-    ax: Axes, condition: Condition, metric: str, variants: Sequence[str], kind: str
-) -> None:
+def _panel(ax: Axes, condition: Condition, metric: str, variants: Sequence[str], kind: str) -> None:
     ax.set_title(f"{condition.name}: {display(metric).label}")
-    heights = [
-        height
-        for name in variants
-        for height in (
-            _draw_curve(ax, condition.runs.get(name, ()), metric, kind, name),
-            _draw_end(ax, condition, metric, name),
-        )
-        if height
-    ]
+    curves = {name: curve(condition.runs.get(name, ()), metric, kind) for name in variants}
+    drawn = {name: found for name, found in curves.items() if found}
+    ends = {name: _end(condition, metric, name) for name in variants if name in condition.trials}
     levels = _levels(condition, metric)
-    if not heights and not levels:
+    heights = [
+        value for found in drawn.values() for value in (found.seeds.min(), found.seeds.max())
+    ]
+    heights += [mean for _, mean in ends.values() if not np.isnan(mean)]
+    heights += [values[metric].mean for values in levels.values()]
+    if not heights:
         ax.text(0.5, 0.5, "not measured", transform=ax.transAxes, ha="center", color=GREY)
         ax.set(xticks=[], yticks=[])
         return
     # Bands of few seeds may be far wider than what is to be seen.
+    margin = 0.08 * (max(heights) - min(heights) or 1)
+    limits = (min(heights) - margin, max(heights) + margin)
     scale = display(metric).scale
-    ends = [end for pair in heights for end in pair]
-    ends += [values[metric].mean * scale for values in levels.values()]
-    margin = 0.08 * (max(ends) - min(ends) or 1)
-    ax.set_ylim(min(ends) - margin, max(ends) + margin)
+    for name, found in drawn.items():
+        _draw_curve(ax, found, scale, limits, name)
+    for name, (actions, mean) in ends.items():
+        label = None if name in drawn else f"{name}, final"
+        ax.plot([actions], [mean * scale], "D", color=colour(name), markersize=5, label=label)
+    ax.set_ylim(limits[0] * scale, limits[1] * scale)
     draw_levels(ax, metric, levels)
 
 
 def _draw_curve(
-    ax: Axes, runs: Sequence[Run], metric: str, kind: str, name: str
-) -> tuple[float, float] | None:
-    """Draw mean, band and each seed; return the lowest and highest value of a seed."""
-    found = curve(runs, metric, kind)
-    if found is None or not _counts_actions(runs):
-        return None
-    seeds = found.seeds * display(metric).scale
-    if len(seeds) > 1:
-        scale = display(metric).scale
+    ax: Axes, found: Curve, scale: float, limits: tuple[float, float], name: str
+) -> None:
+    """Draw the mean, and where there are several seeds each of them and the band."""
+    if len(found.seeds) > 1:
         low, high = (
-            [getattr(mean, end) * scale for mean in found.means] for end in ("ci_low", "ci_high")
+            np.clip([getattr(mean, end) for mean in found.means], *limits) * scale
+            for end in ("ci_low", "ci_high")
         )
         ax.fill_between(found.steps, low, high, color=colour(name), alpha=0.16, linewidth=0)
-        for values in seeds:
+        for values in found.seeds * scale:
             ax.plot(found.steps, values, color=colour(name), linewidth=0.6, alpha=0.55)
-    ax.plot(found.steps, seeds.mean(axis=0), color=colour(name), label=name)
-    return float(seeds.min()), float(seeds.max())
+    ax.plot(found.steps, found.seeds.mean(axis=0) * scale, color=colour(name), label=name)
 
 
-def _draw_end(
-    ax: Axes, condition: Condition, metric: str, name: str
-) -> tuple[float, float] | None:
-    """Draw the final score on the final heaps; return its height twice."""
+def _end(condition: Condition, metric: str, name: str) -> tuple[float, float]:
+    """Return training actions and final score on the final heaps, NaN if it was not measured."""
+    actions = float(np.mean([trial.actions for trial in condition.trials[name]]))
     if not condition.measured(name, metric):
-        return None
-    trials = condition.trials[name]
-    mean = float(np.mean(condition.matrices([name], metric)[0])) * display(metric).scale
-    actions = float(np.mean([trial.actions for trial in trials]))
-    label = f"{name}, final" if name not in condition.runs else None
-    ax.plot([actions], [mean], "D", color=colour(name), markersize=5, label=label, clip_on=False)
-    return mean, mean
-
-
-def _counts_actions(runs: Sequence[Run]) -> bool:
-    """Return whether a run's steps are actions: those of imitation are updates."""
-    return not any(run.records.get("imitation") for run in runs)
+        return actions, float("nan")
+    return actions, float(np.mean(condition.matrices([name], metric)[0]))
 
 
 def _levels(condition: Condition, metric: str) -> Mapping[str, Mapping[str, Estimate]]:
-    names = [*condition.teachers, *condition.passive, *([CEILING] if CEILING in condition.trials else [])]
+    ceiling = [name for name in condition.trials if name == CEILING]
+    names = [*condition.teachers, *condition.passive, *ceiling]
     return {
         name: {metric: mean_over_seeds_and_heaps(condition.matrices([name], metric)[0])}
         for name in names

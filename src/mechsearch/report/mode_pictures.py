@@ -13,7 +13,7 @@ from mechsearch.report.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip
 
 PICTURED = (SUCCESS, BACK_AND_FORTH, HOVERING)
-_FRAMES, _SIZE = 5, 256
+_FRAMES, _SIZE = 4, 320
 
 
 def mode_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> list[Block]:

@@ -67,10 +67,7 @@ def page(report: Report) -> str:
         section_html("Scores", _scores(report.evaluations, scores, subjects)),
     ]
     if report.curves:
-        figures = [
-            Picture(svg, caption, caption)
-            for caption, svg in report.curves.items()
-        ]
+        figures = [Picture(svg, caption, caption) for caption, svg in report.curves.items()]
         sections.append(section_html("Learning", "".join(map(picture_html, figures))))
     if report.models is not None:
         sections.append(
@@ -213,4 +210,3 @@ def _made(report: Report) -> str:
     paragraphs = [f"{key}: {value}." for key, value in facts.items() if value]
     text = "".join(f"<p>{escape(line)}</p>" for line in (*report.notes, " ".join(paragraphs)))
     return tables.to_html(tables.Table("Policies", columns, tuple(rows))) + text
-

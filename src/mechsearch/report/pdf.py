@@ -98,9 +98,7 @@ class _Pages(FPDF):
         """Add text over the whole width."""
         self.set_font(_FAMILY, "B" if bold else "", size)
         self.set_text_color(*colour)
-        self.multi_cell(
-            0, size * _POINT * _LINE, text, align="L", new_x="LMARGIN", new_y="NEXT"
-        )
+        self.multi_cell(0, size * _POINT * _LINE, text, align="L", new_x="LMARGIN", new_y="NEXT")
         self.ln(after)
 
     def put_table(self, grid: Grid) -> None:
@@ -147,12 +145,13 @@ class _Pages(FPDF):
 
 
 def _widths(grid: Grid) -> tuple[float, ...]:
-    """Return a width for each column by its longest line."""
-    rows = (grid.table.columns, *grid.table.rows)
-    return tuple(
-        max(6, *(len(line) for row in rows for line in row[i].split("\n")[-1:] + row[i].split()))
-        for i in range(len(grid.table.columns))
-    )
+    """Return a width for each column by its longest line, or word of its bold heading."""
+    widths = []
+    for i, heading in enumerate(grid.table.columns):
+        lines = [line for row in grid.table.rows for line in row[i].split("\n")]
+        words = [1.25 * len(word) for word in heading.split()]
+        widths.append(2 + max(*map(len, lines), *words, 4))
+    return tuple(widths)
 
 
 def _size(picture: Picture) -> tuple[float, float]:

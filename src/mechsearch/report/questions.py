@@ -82,9 +82,7 @@ class Better:
         theirs = resolved(experiment, self.condition, self.metric, self.theirs)
         if not theirs or not measured(experiment, self.condition, self.metric, self.ours, theirs):
             return Answer(about, f"{self.ours} against {self.theirs}", UNMEASURED)
-        matrices = experiment.conditions[self.condition].matrices(
-            [self.ours, theirs], self.metric
-        )
+        matrices = experiment.conditions[self.condition].matrices([self.ours, theirs], self.metric)
         ours, others = (float(values.mean()) for values in matrices)
         drawn = replicates(matrices, np.random.default_rng(SEED))
         estimate = interval(ours - others, drawn[0] - drawn[1], matrices[0].shape[1])
@@ -179,7 +177,7 @@ class Harder:
 
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the difference of means, the harder condition's minus the easier one's."""
-        about = f"{self.harder} and {self.easier}, {display(self.metric).label}"
+        about = f"{self.harder} against {self.easier}, {display(self.metric).label}"
         both = (self.harder, self.easier)
         if not all(measured(experiment, name, self.metric, self.ours) for name in both):
             return Answer(about, f"{self.ours} in both", UNMEASURED)
@@ -227,7 +225,8 @@ class Level:
         estimate = interval(float(matrices[0].mean()), drawn, matrices[0].shape[1])
         low, high = (number(self.metric, end) for end in (estimate.ci_low, estimate.ci_high))
         figures = f"{self.ours} {number(self.metric, estimate.mean)} ({low} to {high})"
-        test = f"more than {number(self.metric, self.least)}; {sizes(matrices, [self.ours], experiment)}"
+        least = number(self.metric, self.least)
+        test = f"more than {least}; {sizes(matrices, [self.ours], experiment)}"
         return Answer(about, figures, verdict(estimate, self.least, True), test, estimate)
 
 
@@ -316,8 +315,12 @@ def signed(metric: str, estimate: Estimate) -> str:
 
 def percent(estimate: Estimate) -> str:
     """Return a share with its interval."""
-    text = f"{estimate.mean:.0%} ({estimate.ci_low:.0%} to {estimate.ci_high:.0%})"
-    return text.replace("-", MINUS)
+    # What rounds to nothing has no sign.
+    mean, low, high = (
+        f"{round(share, 2) + 0.0:.0%}"
+        for share in (estimate.mean, estimate.ci_low, estimate.ci_high)
+    )
+    return f"{mean} ({low} to {high})".replace("-", MINUS)
 
 
 def _seeds(matrices: Sequence[Floats], names: Sequence[str]) -> str:

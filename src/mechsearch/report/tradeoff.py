@@ -1,6 +1,6 @@
 """Actions used against clutter moved, for every policy, by condition and number of objects."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,21 +13,37 @@ from mechsearch.report.figures import PRINTED_WIDTH, colour, grid, marker, style
 from mechsearch.report.tables import display
 
 ACROSS, UP = "episode_actions", "clutter_moved_m"
-COLUMNS = ("condition", "objects", "policy", "seeds", "metric", "mean", "ci_low", "ci_high", "heaps")
+COLUMNS = (
+    "condition",
+    "objects",
+    "policy",
+    "seeds",
+    "metric",
+    "mean",
+    "ci_low",
+    "ci_high",
+    "heaps",
+)
 
 
 def draw_tradeoff(condition: Condition) -> Figure:
-    """Return one panel for all heaps and one for each number of objects."""
+    """Return one panel for all heaps and one for each number of objects, on the same axes."""
     counts: list[int | None] = [None, *(condition.counts if len(condition.counts) > 1 else [])]
+    panels = [
+        {name: found for name in condition.trials if (found := estimates(condition, name, count))}
+        for count in counts
+    ]
+    limits = _limits([found for panel in panels for found in panel.values()])
     columns = min(len(counts), 4)
     with style():
-        figure, axes = grid(len(counts), columns, PRINTED_WIDTH / columns, 2.3)
-        for i, (ax, count) in enumerate(zip(axes, counts, strict=True)):
-            _panel(ax, condition, count)
+        figure, axes = grid(len(counts), columns, PRINTED_WIDTH / columns, 2.4)
+        for i, (ax, count, panel) in enumerate(zip(axes, counts, panels, strict=True)):
+            _panel(ax, panel, limits)
+            ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
             if i % columns == 0:
                 ax.set_ylabel(display(UP).label)
-        _share_limits(axes)
-        figure.supxlabel("actions used", fontsize=9.5)
+            if i + columns >= len(counts):
+                ax.set_xlabel("actions used")
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
     return figure
@@ -57,27 +73,31 @@ def tradeoff_rows(experiment: Experiment) -> list[tuple[str, ...]]:
     return rows
 
 
-def _panel(ax: Axes, condition: Condition, count: int | None) -> None:
-    for name in condition.trials:
-        found = estimates(condition, name, count)
-        if found is None:
-            continue
+def _limits(found: Sequence[Mapping[str, Estimate]]) -> dict[str, tuple[float, float]]:
+    """Return the ends of both axes: by the means, since intervals of few seeds may be far wider."""
+    limits = {}
+    for metric in (ACROSS, UP):
+        means = [one[metric].mean * display(metric).scale for one in found]
+        margin = 0.12 * (max(means) - min(means) or 1)
+        limits[metric] = (min(means) - margin, max(means) + 2 * margin)
+    return limits
+
+
+def _panel(
+    ax: Axes, found: Mapping[str, Mapping[str, Estimate]], limits: Mapping[str, tuple[float, float]]
+) -> None:
+    for name, both in found.items():
         (x, left, right), (y, low, high) = (
-            np.array([found[m].mean, found[m].ci_low, found[m].ci_high]) * display(m).scale
-            for m in (ACROSS, UP)
+            [
+                value * display(metric).scale
+                for value in (both[metric].mean, both[metric].ci_low, both[metric].ci_high)
+            ]
+            for metric in (ACROSS, UP)
         )
-        ax.plot([left, right], [y, y], color=colour(name), linewidth=1, alpha=0.6)
-        ax.plot([x, x], [low, high], color=colour(name), linewidth=1, alpha=0.6)
+        across, up = np.clip([left, right], *limits[ACROSS]), np.clip([low, high], *limits[UP])
+        ax.plot(across, [y, y], color=colour(name), linewidth=1, alpha=0.6)
+        ax.plot([x, x], up, color=colour(name), linewidth=1, alpha=0.6)
         ax.plot([x], [y], marker(name), color=colour(name), markersize=5.5, label=name)
-    ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
+    ax.set(xlim=limits[ACROSS], ylim=limits[UP])
     ax.grid(color="#e3e5e8", linewidth=0.8)
     ax.set_axisbelow(True)
-
-
-def _share_limits(axes: Sequence[Axes]) -> None:
-    """Give all panels the same axes, so that they can be compared."""
-    right = max(ax.get_xlim()[1] for ax in axes)
-    top = max(ax.get_ylim()[1] for ax in axes)
-    left = min(ax.get_xlim()[0] for ax in axes)
-    for ax in axes:
-        ax.set(xlim=(left, right), ylim=(min(0, -0.03 * top), top))
