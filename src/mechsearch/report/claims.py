@@ -37,8 +37,8 @@ NOTE = (
     "the claimed side, does not hold if it lies on the other, and is undecided if it contains the "
     "threshold. Intervals come from a bootstrap that draws training seeds and heaps, each by "
     "itself, and is widened for small numbers of either; policies in one condition are paired heap "
-    "by heap. A claim holds if all its rows hold, and fails if one of them does. Idle and random stand for "
-    "the untrained policy."
+    "by heap. A claim holds if all its rows hold, and fails if one of them does. Idle and random "
+    "stand for the untrained policy."
 )
 
 
