@@ -13,7 +13,7 @@ from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.report import curves, page, tables
 from mechsearch.report.intervals import draw_summary
-from mechsearch.runs import write_whole
+from mechsearch.runs import write_text
 from mechsearch.types import MechSearchError
 
 
@@ -76,15 +76,6 @@ def learning_curves(
         f"Training of {run.name}, seed {run.seed}.": curves.draw_training(run) for run in runs
     }
     return {caption: svg for caption, svg in drawn.items() if svg}
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write text, whole or not at all."""
-
-    def write(partial: Path) -> None:
-        partial.write_text(text, encoding="utf-8")
-
-    write_whole(path, write)
 
 
 def _files(sources: Sequence[Path]) -> list[Path]:

@@ -35,6 +35,9 @@ DISPLAYS = {
     "episode_actions": Display("actions", 1, 1),
     "clutter_moved_m": Display("clutter moved [cm]", 100, 1),
     "target_moved_m": Display("target moved [cm]", 100, 1),
+    "graspability_change": Display("graspability gained", 1, 2),
+    "retrieval_before": Display("retrieved at the start [%]", 100, 0),
+    "retrieval_after": Display("retrieved at the end [%]", 100, 0),
 }
 
 NOTE = (
