@@ -64,7 +64,10 @@ class Calibrate(Command):
         found = calibrate(trials)
         say(_described(found, len(trials)))
         if self.out:
-            write_json(self.out, {**asdict(found), "curve": found.curve.tolist(), "rated": found.rated.tolist()})
+            write_json(
+                self.out,
+                {**asdict(found), "curve": found.curve.tolist(), "rated": found.rated.tolist()},
+            )
             wrote(self.out)
         if self.plot:
             curves = {"quality as rated": found.rated, "chance as fitted": found.curve}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import Evaluation, GraspRecord
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
 from mechsearch.evaluation.metrics import score
 from mechsearch.grasp.change import Change, ChangeTask, measure_all
 from mechsearch.grasp.network import SHIPPED
@@ -32,7 +32,7 @@ def measured(
         ChangeTask(network, spec, r.objects, r.target, r.poses[0], r.poses[-1])
         for r in evaluation.episodes
     ]
-    episodes = []
+    episodes: list[EpisodeRecord] = []
     for change in measure_all(tasks, workers):
         episodes.append(replace(evaluation.episodes[len(episodes)], grasp=_record(change)))
         progress("grasped", len(episodes), len(tasks))
