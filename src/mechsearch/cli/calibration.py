@@ -78,9 +78,10 @@ class Calibrate(Command):
         evaluation = episodes.load(path)
         models_of(evaluation, self.objects)
         spec = self.objects or str(evaluation.header["object_set"])
+        network = self.network or SHIPPED
         return [
             TrialTask(
-                self.network or SHIPPED, spec, record.objects, record.target, poses, record.heap_seed,
+                network, spec, record.objects, record.target, poses, record.heap_seed,
                 self.grasps, self.repeats,
             )
             for record in evaluation.episodes

@@ -83,7 +83,8 @@ def overlaps(blocks: NDArray[np.intp], block: Block) -> NDArray[np.intp]:
     """Return the parts (n, 4) of some blocks that lie in another, counted from its corner."""
     top, bottom, left, right = block
     corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
-    return np.asarray(np.minimum(np.maximum(blocks - corner, 0), size), np.intp)
+    inside: NDArray[np.intp] = np.clip(blocks - corner, 0, size)
+    return inside
 
 
 class View:
@@ -111,7 +112,7 @@ class View:
     def blocks(self, projection: Projection, bodies: slice) -> NDArray[np.intp]:
         """Return where some bodies may appear (n, 4), beyond the frame too."""
         ends = np.floor(projection.bounds[bodies] * self._focal + self._principal)
-        blocks = (ends * _ENDS + _BEYOND).astype(np.intp)
+        blocks: NDArray[np.intp] = (ends * _ENDS + _BEYOND).astype(np.intp)
         near = projection.near[bodies]
         if near.any():
             blocks[near] = [0, self.height, 0, self.width]
