@@ -33,7 +33,7 @@ def _time_set(settings: Settings, condition: str, number: int) -> float:
     """Return the seconds that a set takes, or would take."""
     counts = CONDITIONS[condition]
     heaps = number if settings.full else number // _SAMPLE
-    config = GenerateConfig(condition, heaps, settings.workload.objects, seed=2020)
+    config = GenerateConfig(condition, heaps, settings.workload.objects, seed=2026)
     marks: dict[str, list[tuple[int, float]]] = {}
 
     def progress(label: str, done: int, total: int) -> None:

@@ -10,8 +10,8 @@ pytest.importorskip("torch")
 import torch
 
 from mechsearch.cli import main
-from mechsearch.evaluation import summary
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
+from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, score
 from mechsearch.grasp.network import GraspNetwork, save_network
 
 
@@ -123,10 +123,13 @@ def test_the_whole_way_from_labels_to_a_judged_network(
     main([*train, "--epochs", "2"])
     assert "of 2: average precision" in capsys.readouterr().out
     network = str(run / "network.safetensors")
-    main(["grasp", "test", network, "--labels", str(labels), "--curve"])
-    said = capsys.readouterr().out
-    assert "base rate" in said
-    assert "mean quality" in said
+    found, plot = tmp_path / "test.json", tmp_path / "test.svg"
+    judge = ["grasp", "test", network, "--labels", str(labels)]
+    main([*judge, "--out", str(found), "--plot", str(plot)])
+    assert "AP of the shipped network above that of network" in capsys.readouterr().out
+    assert set(json.loads(found.read_text())["networks"]) == {"shipped", "network"}
+    assert "share that succeeds" in plot.read_text()
+    assert "has 4 train heaps" in failure([*words, "--limit", "9"], capsys)
     assert "another config" in failure([*words, "--per-object", "5"], capsys)
 
 
@@ -146,6 +149,9 @@ def test_an_evaluation_measures_graspability_and_retrieval(
         }
     assert abs(rows["idle", "graspability_change"].mean) < 0.05
     assert rows["idle", "retrieval_before"].mean == rows["idle", "retrieval_after"].mean
+    recorded = episodes.load(tmp_path / "idle.npz")
+    assert all(record.grasp is not None for record in recorded.episodes)
+    assert score(recorded.episodes)["retrieval_after"].mean == rows["idle", "retrieval_after"].mean
     absent = failure([*words, "--grasp-network", "absent.npz"], capsys)
     assert "no network at absent.npz" in absent
 

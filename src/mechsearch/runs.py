@@ -28,6 +28,15 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         partial.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write text, whole or not at all."""
+
+    def write(partial: Path) -> None:
+        partial.write_text(text, encoding="utf-8")
+
+    write_whole(path, write)
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write JSON, whole or not at all."""
     text = json.dumps(value, indent=2, sort_keys=True) + "\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation import episodes
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
 from mechsearch.types import MechSearchError
 
 
@@ -28,6 +28,7 @@ def evaluation(make_episode) -> Evaluation:
         make_episode(2, length=1, count=15, end="uncovered"),
         make_episode(3, length=0, end="failure: NaN"),
         make_episode(4, length=7, policy="zigzag å"),
+        make_episode(5, grasp=GraspRecord(0.0, 0.75, 0.875, "", "wrong object")),
     )
     return Evaluation({"seed": 3, "nested": {"a": [1, 2.5, None]}}, ragged)
 
@@ -37,7 +38,7 @@ def test_loading_gives_back_what_was_saved(tmp_path: Path, evaluation: Evaluatio
     episodes.save(path, evaluation)
     loaded = episodes.load(path)
     assert loaded.header == evaluation.header
-    assert len(loaded.episodes) == 4
+    assert len(loaded.episodes) == 5
     for left, right in zip(evaluation.episodes, loaded.episodes, strict=True):
         assert_same(left, right)
 

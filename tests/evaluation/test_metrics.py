@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mechsearch.evaluation.episodes import GraspRecord
 from mechsearch.evaluation.metrics import (
     METRICS,
     mean_interval,
@@ -36,6 +37,32 @@ def test_metrics_of_an_episode_match_hand_computed_numbers(make_episode) -> None
             "term_idleness": -1.0,
         }
     )
+
+
+def test_a_tried_grasp_adds_its_hand_computed_metrics(make_episode) -> None:
+    values = measure(make_episode(grasp=GraspRecord(0.25, 0.75, 0.9, "", "success")))
+    assert values["graspability_change"] == 0.5
+    assert (values["retrieval_before"], values["retrieval_after"]) == (0.0, 1.0)
+    dropped = measure(make_episode(grasp=GraspRecord(0.75, 0.0, 0.9, "success", "dropped")))
+    assert dropped["graspability_change"] == -0.75
+    assert (dropped["retrieval_before"], dropped["retrieval_after"]) == (1.0, 0.0)
+
+
+def test_retrieval_is_scored_as_a_share_of_all_episodes(make_episode) -> None:
+    tried = [GraspRecord(0.1, 0.2, 0.3, "", end) for end in ("success", "missed", "", "success")]
+    episodes = [make_episode(i, grasp=grasp) for i, grasp in enumerate(tried)]
+    assert score(episodes)["retrieval_after"] == share_interval([1, 0, 0, 1])
+    gain = paired_difference(
+        episodes, [make_episode(i, grasp=tried[1]) for i in range(4)], "retrieval_after"
+    )
+    assert gain.mean == 0.5
+    assert -1 <= gain.ci_low < 0.5 < gain.ci_high <= 1
+
+
+def test_grasps_are_tried_in_all_episodes_or_none(make_episode) -> None:
+    mixed = [make_episode(0), make_episode(1, grasp=GraspRecord(0.1, 0.2, 0.3, "", ""))]
+    with pytest.raises(MechSearchError, match="tried in 1 of 2 episodes"):
+        score(mixed)
 
 
 @pytest.mark.parametrize("end", ["action limit", "lost", "failure: NaN"])

@@ -9,9 +9,10 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
 from mechsearch.evaluation import episodes
 from mechsearch.grasp.calibrate import Calibration, TrialTask, calibrate, try_all
-from mechsearch.grasp.network import load_network
+from mechsearch.grasp.network import SHIPPED, load_network
+from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
-from mechsearch.runs import write_json
+from mechsearch.runs import write_json, write_text
 from mechsearch.types import MechSearchError
 
 
@@ -25,8 +26,10 @@ class Calibrate(Command):
 
     Attributes:
         episodes: Files that `mechsearch evaluate` wrote (.npz).
-        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz).
+        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
+            take instead of the shipped one.
         out: File (.json) to write.
+        plot: Reliability diagram (.svg) to write.
         grasps: Best grasps to try on each state, and as many at random.
         repeats: Perturbed executions of each grasp.
         objects: Object set; the one that the files name by default.
@@ -36,8 +39,9 @@ class Calibrate(Command):
     episodes: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="EPISODES [EPISODES ...]")
     ]
-    network: Path
+    network: Path | None = None
     out: Path | None = None
+    plot: Path | None = None
     grasps: int = 10
     repeats: int = 5
     objects: str = ""
@@ -60,16 +64,24 @@ class Calibrate(Command):
         found = calibrate(trials)
         say(_described(found, len(trials)))
         if self.out:
-            write_json(self.out, {**asdict(found), "curve": found.curve.tolist()})
+            write_json(
+                self.out,
+                {**asdict(found), "curve": found.curve.tolist(), "rated": found.rated.tolist()},
+            )
             wrote(self.out)
+        if self.plot:
+            curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
+            write_text(self.plot, draw_reliability(curves))
+            wrote(self.plot)
 
     def _tasks(self, path: Path) -> list[TrialTask]:
         evaluation = episodes.load(path)
         models_of(evaluation, self.objects)
         spec = self.objects or str(evaluation.header["object_set"])
+        network = self.network or SHIPPED
         return [
             TrialTask(
-                self.network, spec, record.objects, record.target, poses, record.heap_seed,
+                network, spec, record.objects, record.target, poses, record.heap_seed,
                 self.grasps, self.repeats,
             )
             for record in evaluation.episodes

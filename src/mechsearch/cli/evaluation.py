@@ -3,17 +3,17 @@
 import importlib
 import importlib.util
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.metrics import METRICS, Estimate, score
+from mechsearch.evaluation.metrics import METRICS, score
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.parallel import Mapper
@@ -50,8 +50,9 @@ class Evaluate(Command):
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
         brief: Print the main scores alone.
-        grasp_network: Grasp network (.safetensors or .npz): measures graspability and retrieval of
-            each target before and after; needs PyTorch.
+        grasps: Also measure graspability and retrieval of each target, before and after; needs
+            PyTorch.
+        grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
     """
 
     policies: Annotated[
@@ -71,6 +72,7 @@ class Evaluate(Command):
     summary: Path | None = None
     experiment: str = "main"
     brief: bool = False
+    grasps: bool = False
     grasp_network: Path | None = None
 
     def run(self) -> None:
@@ -81,23 +83,21 @@ class Evaluate(Command):
             )
         for policy in self.policies:
             make_policy(policy)
-        if self.grasp_network:
-            _check_grasp_network(self.grasp_network)
-        evaluations, grasped = [], []
+        measure_grasps = self._grasping()
+        evaluations = []
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             for policy in self.policies:
-                evaluations.append(record(self._plan(policy), self.out, workers, mapper))
-                scores: dict[str, Estimate] = {}
-                if self.grasp_network:
-                    grasped.append(self._grasp(evaluations[-1], self.grasp_network))
-                    scores = grasped[-1].scores
+                evaluation = record(self._plan(policy), self.out, workers, mapper)
+                if measure_grasps:
+                    with bars() as progress:
+                        evaluation = measure_grasps(
+                            evaluation, self.grasp_network, self.objects, workers, progress
+                        )
+                    write(evaluation, self.out)
+                evaluations.append(evaluation)
                 if self.summary:
-                    rows = summary_rows(self.experiment, evaluations[-1], scores)
-                    summary.merge(self.summary, rows)
+                    summary.merge(self.summary, summary_rows(self.experiment, evaluation))
         self._print(named(evaluations))
-        if grasped:
-            names = [str(evaluation.header["name"]) for evaluation in evaluations]
-            say(tables.to_text(importlib.import_module(_GRASPING).table(names, grasped)))
         wrote(self.out)
 
     def _plan(self, policy: str) -> EvaluationPlan:
@@ -112,14 +112,21 @@ class Evaluate(Command):
             camera=self.camera,
         )
 
-    def _grasp(self, evaluation: Evaluation, network: Path) -> Any:
-        module = importlib.import_module(_GRASPING)
-        with bars() as progress:
-            return module.measured(evaluation, network, self.objects, self.workers, progress)
+    def _grasping(self) -> Callable[..., Evaluation] | None:
+        """Return what measures grasps, if asked for; a network that is no good is refused first."""
+        if not (self.grasps or self.grasp_network):
+            return None
+        if importlib.util.find_spec("torch") is None:
+            raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
+        importlib.import_module("mechsearch.grasp.network").load_network(self.grasp_network)
+        measured: Callable[..., Evaluation] = importlib.import_module(_GRASPING).measured
+        return measured
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
         shown = [tables.score_table(scores)]
+        if self.grasps or self.grasp_network:
+            shown.append(importlib.import_module(_GRASPING).table(evaluations))
         if not self.brief:
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]
@@ -190,25 +197,21 @@ class Show(Command):
         return found[0]
 
 
-def _check_grasp_network(path: Path) -> None:
-    """Refuse a grasp network that cannot be read, before anything takes long."""
-    if importlib.util.find_spec("torch") is None:
-        raise MechSearchError("--grasp-network needs PyTorch: install mechsearch[learn]")
-    importlib.import_module("mechsearch.grasp.network").load_network(path)
-
-
 def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> Evaluation:
     """Carry out a plan with a progress bar, and write its episodes into a folder."""
     with bars() as progress:
         evaluation = evaluate(plan, workers, progress, mapper)
-    episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
+    write(evaluation, folder)
     return evaluation
 
 
-def summary_rows(
-    experiment: str, evaluation: Evaluation, more: Mapping[str, Estimate] | None = None
-) -> list[summary.SummaryRow]:
-    """Return the rows that an evaluation, and scores measured besides, enter into a summary."""
+def write(evaluation: Evaluation, folder: Path) -> None:
+    """Write the episodes of an evaluation into a folder."""
+    episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
+
+
+def summary_rows(experiment: str, evaluation: Evaluation) -> list[summary.SummaryRow]:
+    """Return the rows that an evaluation enters into a summary."""
     header = evaluation.header
     seed = header["training_seed"] if header["trained"] else header["seed"]
     return summary.rows(
@@ -217,7 +220,7 @@ def summary_rows(
         header["name"],
         header["seed"] if seed is None else seed,
         header["training_actions"],
-        {**score(evaluation.episodes), **(more or {})},
+        score(evaluation.episodes),
     )
 
 

@@ -1,21 +1,23 @@
 """`mechsearch grasp label`, `train` and `test`; all need PyTorch."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
 from mechsearch.grasp.fit import NETWORK, FitConfig, fit, predict
 from mechsearch.grasp.grasp_set import OUTCOMES, load_grasps
 from mechsearch.grasp.label import LabelConfig, label
-from mechsearch.grasp.metrics import Verdict, judge, reliability
+from mechsearch.grasp.metrics import Verdict, judge, paired_gain, reliability
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import load
+from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
-from mechsearch.types import MechSearchError
+from mechsearch.runs import write_json, write_text
 
 
 @dataclass(frozen=True)
@@ -85,33 +87,55 @@ class Test(Command):
     """Judge grasp networks on labelled grasps that they have not learnt from.
 
     Attributes:
-        networks: Grasp networks (.safetensors, or the released weights .npz).
+        networks: Grasp networks (.safetensors, or the released weights .npz) beside the shipped
+            one.
         labels: Folder that `mechsearch grasp label` wrote, such as one of held-out heaps.
-        curve: Print the reliability curve of each network too.
+        out: File (.json) to write.
+        plot: Reliability diagram (.svg) to write.
     """
 
-    networks: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NETWORK [NETWORK ...]")
-    ]
     labels: Path
-    curve: bool = False
+    networks: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NETWORK ...]")
+    ] = ()
+    out: Path | None = None
+    plot: Path | None = None
 
     def run(self) -> None:
-        """Print a table of scores."""
-        if not self.networks:
-            raise MechSearchError("no network named; expected at least one")
+        """Print a table of scores, and by how much the first network is above each other one."""
         grasps = load_grasps(self.labels)
-        qualities = {path: predict(load_network(path), grasps) for path in self.networks}
-        rows = tuple(_row(path, judge(q, grasps.success)) for path, q in qualities.items())
+        named = {"shipped": None, **{path.stem: path for path in self.networks}}
+        rated = {name: predict(load_network(path), grasps) for name, path in named.items()}
+        verdicts = {name: judge(quality, grasps.success) for name, quality in rated.items()}
+        gains = {
+            name: paired_gain(rated["shipped"], quality, grasps.success, grasps.heap)
+            for name, quality in rated.items()
+            if name != "shipped"
+        }
+        heaps = len(np.unique(grasps.heap))
+        caption = f"{len(grasps)} grasps in {heaps} heaps, base rate {grasps.success.mean():.3f}"
         columns = ("network", "AP", "AUC", "Brier", "calibration error")
-        caption = f"{len(grasps)} grasps, base rate {grasps.success.mean():.3f}"
+        rows = tuple(_row(name, verdict) for name, verdict in verdicts.items())
         say(to_text(Table(caption, columns, rows)))
-        for path, quality in qualities.items() if self.curve else ():
-            bins = reliability(quality, grasps.success)
-            rows = tuple((f"{q:.2f}", f"{share:.2f}", f"{n:.0f}") for q, share, n in bins)
-            say(to_text(Table(str(path), ("mean quality", "succeed", "grasps"), rows)))
+        for name, gain in gains.items():
+            say(
+                f"AP of the shipped network above that of {name}: {gain.mean:+.3f} "
+                f"(95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
+            )
+        curves = {name: reliability(quality, grasps.success) for name, quality in rated.items()}
+        if self.out:
+            found = {
+                name: {**asdict(verdict), "curve": curves[name].tolist()}
+                for name, verdict in verdicts.items()
+            }
+            above = {name: asdict(gain) for name, gain in gains.items()}
+            write_json(self.out, {"heaps": heaps, "networks": found, "gain_over": above})
+            wrote(self.out)
+        if self.plot:
+            write_text(self.plot, draw_reliability(curves))
+            wrote(self.plot)
 
 
-def _row(path: Path, verdict: Verdict) -> tuple[str, ...]:
+def _row(name: str, verdict: Verdict) -> tuple[str, ...]:
     numbers = (verdict.average_precision, verdict.auc, verdict.brier, verdict.calibration_error)
-    return (str(path), *(f"{number:.3f}" for number in numbers))
+    return (name, *(f"{number:.3f}" for number in numbers))

@@ -1,100 +1,74 @@
-"""What `mechsearch evaluate --grasp-network` adds: graspability and retrieval, before and after."""
+"""What `mechsearch evaluate` adds: graspability and retrieval of each target, before and after."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import (
-    GRASP_METRICS,
-    Estimate,
-    mean_interval,
-    share_interval,
-)
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
+from mechsearch.evaluation.metrics import score
 from mechsearch.grasp.change import Change, ChangeTask, measure_all
+from mechsearch.grasp.network import SHIPPED
 from mechsearch.parallel import Progress
-from mechsearch.report.tables import Table
-
-
-@dataclass(frozen=True, eq=False)
-class Grasped:
-    """The targets of one evaluation, as a gripper sees them.
-
-    Attributes:
-        changes: One for each episode.
-    """
-
-    changes: tuple[Change, ...]
-
-    @property
-    def scores(self) -> dict[str, Estimate]:
-        """Each of `GRASP_METRICS` over the episodes."""
-        values = [change.metrics for change in self.changes]
-        columns = {name: [value[name] for value in values] for name in GRASP_METRICS}
-        return {
-            name: (share_interval if name.startswith("retrieval") else mean_interval)(column)
-            for name, column in columns.items()
-        }
+from mechsearch.report.tables import Table, cell
 
 
 def measured(
-    evaluation: Evaluation, network: Path, objects: str, workers: int, progress: Progress
-) -> Grasped:
-    """Return graspability and retrieval of every episode's target.
+    evaluation: Evaluation, network: Path | None, objects: str, workers: int, progress: Progress
+) -> Evaluation:
+    """Return an evaluation with the graspability and retrieval of every episode's target.
 
     Args:
         evaluation: The episodes.
-        network: File of the grasp network.
+        network: File of the grasp network; None takes the shipped one.
         objects: Object set; empty takes the one that the evaluation names.
         workers: Processes; the results do not depend on their number.
         progress: Told after each episode.
     """
+    network = network or SHIPPED
     spec = objects or str(evaluation.header["object_set"])
     tasks = [
         ChangeTask(network, spec, r.objects, r.target, r.poses[0], r.poses[-1])
         for r in evaluation.episodes
     ]
-    changes = []
-    for i, change in enumerate(measure_all(tasks, workers)):
-        changes.append(change)
-        progress("grasped", i + 1, len(tasks))
-    return Grasped(tuple(changes))
+    episodes: list[EpisodeRecord] = []
+    for change in measure_all(tasks, workers):
+        episodes.append(replace(evaluation.episodes[len(episodes)], grasp=_record(change)))
+        progress("grasped", len(episodes), len(tasks))
+    return Evaluation({**evaluation.header, "grasp_network": network.name}, tuple(episodes))
 
 
-def table(names: Sequence[str], grasped: Sequence[Grasped]) -> Table:
+def table(evaluations: Mapping[str, Evaluation]) -> Table:
     """Return policies in rows, and what grasps are worth before and after in columns."""
     columns = (
         "policy", "graspability before", "after", "change", "clutter removed",
-        "retrieval before", "after", "lost",
+        "retrieved before [%]", "after [%]",
     )  # fmt: skip
-    rows = tuple(_row(name, found) for name, found in zip(names, grasped, strict=True))
+    rows = tuple(_row(name, evaluation) for name, evaluation in evaluations.items())
     return Table("Graspability and retrieval of the target", columns, rows)
 
 
-def _row(name: str, grasped: Grasped) -> tuple[str, ...]:
-    changes, scores = grasped.changes, grasped.scores
-    means = [
-        float(np.mean([change.before.score for change in changes])),
-        float(np.mean([change.after.score for change in changes])),
-    ]
-    alone = float(np.mean([change.alone.score for change in changes]))
-    lost = sum(change.after.lost for change in changes)
-    return (
-        name,
-        *(f"{mean:.2f}" for mean in means),
-        _text(scores["graspability_change"], signed=True),
-        f"{alone:.2f}",
-        _text(scores["retrieval_before"]),
-        _text(scores["retrieval_after"]),
-        str(lost),
+def _record(change: Change) -> GraspRecord:
+    return GraspRecord(
+        change.before.score,
+        change.after.score,
+        change.alone.score,
+        str(change.retrieved_before or ""),
+        str(change.retrieved_after or ""),
     )
 
 
-def _text(estimate: Estimate, signed: bool = False) -> str:
-    sign = "+" if signed else ""
-    mean = f"{estimate.mean:{sign}.2f}"
-    if np.isnan(estimate.ci_low):
-        return mean
-    return f"{mean}\n{estimate.ci_low:{sign}.2f} to {estimate.ci_high:{sign}.2f}"
+def _row(name: str, evaluation: Evaluation) -> tuple[str, ...]:
+    grasps = [record.grasp for record in evaluation.episodes if record.grasp is not None]
+    before, after, alone = np.mean([(g.before, g.after, g.alone) for g in grasps], axis=0)
+    scores = score(evaluation.episodes)
+    return (
+        name,
+        f"{before:.2f}",
+        f"{after:.2f}",
+        cell("graspability_change", scores["graspability_change"], signed=True),
+        f"{alone:.2f}",
+        cell("retrieval_before", scores["retrieval_before"]),
+        cell("retrieval_after", scores["retrieval_after"]),
+    )

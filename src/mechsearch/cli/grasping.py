@@ -36,7 +36,8 @@ class Score(Command):
     """Rate the grasps on targets, in the heaps of a set or in a depth image of your own.
 
     Attributes:
-        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz).
+        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
+            take instead of the shipped one.
         heaps: Heap set (.parquet).
         depth: Depth image [m]: .npy, .png, or .npz with `depth`, `mask` and `K`; instead of heaps.
         mask: The target in that image, where it is not 0: .npy, .png or .npz.
@@ -49,7 +50,7 @@ class Score(Command):
         opening: Of the gripper [m], 0.05 to 0.06.
     """
 
-    network: Path
+    network: Path | None = None
     heaps: Path | None = None
     depth: Path | None = None
     mask: Path | None = None
@@ -124,8 +125,9 @@ class Lift(Command):
     """Lift each target with the grasp that a network finds best, in simulation.
 
     Attributes:
-        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz).
         heaps: Heap set (.parquet).
+        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
+            take instead of the shipped one.
         out: Picture (.png) to write: a strip of frames for each heap.
         objects: Object set; the one that the heaps name by default.
         split: "held-out", "train" or "all" heaps.
@@ -136,8 +138,8 @@ class Lift(Command):
         workers: Processes; the outcomes do not depend on their number.
     """
 
-    network: Path
     heaps: Path
+    network: Path | None = None
     out: Path | None = None
     objects: str = ""
     split: str = "held-out"

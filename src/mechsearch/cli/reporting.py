@@ -1,6 +1,7 @@
 """`mechsearch report`."""
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from mechsearch.report import curves, document, experiment_report, page, tables
 from mechsearch.report.experiment import Experiment, is_experiment, read_experiment
 from mechsearch.report.intervals import draw_summary
 from mechsearch.report.pdf import write_pdf
-from mechsearch.runs import write_whole
+from mechsearch.runs import write_text
 from mechsearch.types import MechSearchError
 
 
@@ -79,7 +80,7 @@ def write_experiment(options: Report) -> None:
     for name, svg in analysis.figures.items():
         write_text(beside / f"{name}.svg", svg)
     for name, rows in experiment_report.numbers(analysis).items():
-        _write_rows(beside / f"{name}.csv", rows)
+        write_text(beside / f"{name}.csv", _csv(rows))
     for ruling in (*analysis.paper, *analysis.goals):
         say(f"{ruling.verdict:>14}: {ruling.words}")
     for path in (options.out, pdf, beside):
@@ -119,21 +120,10 @@ def learning_curves(
     return {caption: svg for caption, svg in drawn.items() if svg}
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text, whole or not at all."""
-
-    def write(partial: Path) -> None:
-        partial.write_text(text, encoding="utf-8")
-
-    write_whole(path, write)
-
-
-def _write_rows(path: Path, rows: Sequence[Sequence[str]]) -> None:
-    def write(partial: Path) -> None:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
-
-    write_whole(path, write)
+def _csv(rows: Sequence[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def _models(experiment: Experiment, named_set: str) -> dict[str, Mapping[str, ObjectModel]]:

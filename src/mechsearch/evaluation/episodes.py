@@ -6,7 +6,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,26 @@ FORMAT = 1
 UNCOVERED = "uncovered"
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
+
+
+@dataclass(frozen=True)
+class GraspRecord:
+    """What a gripper could do with the target before and after an episode.
+
+    Attributes:
+        before: Graspability at the beginning, in [0, 1].
+        after: At the end, at rest and the robot out of the way; 0 if the target is lost.
+        alone: At the beginning, all clutter removed.
+        lift_before: What the best grasp came to at the beginning: "success" or a failure's name;
+            empty where there was no grasp to try.
+        lift_after: Likewise at the end.
+    """
+
+    before: float
+    after: float
+    alone: float
+    lift_before: str
+    lift_after: str
 
 
 @dataclass(frozen=True)
@@ -42,6 +62,7 @@ class EpisodeRecord:
         target_moved: Displacement of the target in each action (T,) [m].
         end: "uncovered", "action limit", "lost" or "failure: reason".
         action_limit: Number of actions after which the episode would have been cut.
+        grasp: What a gripper could do with the target; None where it was not measured.
     """
 
     heap_seed: int
@@ -59,6 +80,7 @@ class EpisodeRecord:
     target_moved: Floats
     end: str
     action_limit: int
+    grasp: GraspRecord | None = None
 
     def __post_init__(self) -> None:
         t, n = len(self.actions), len(self.objects)
@@ -184,6 +206,8 @@ def _check_sums(path: Path) -> None:
 def _description(episode: EpisodeRecord) -> dict[str, Any]:
     names = ("heap_seed", "count", "condition", "policy", "target", "end", "action_limit")
     values = {name: getattr(episode, name) for name in names}
+    if episode.grasp is not None:
+        values["grasp"] = asdict(episode.grasp)
     return values | {"objects": list(episode.objects), "length": len(episode.actions)}
 
 
@@ -222,4 +246,5 @@ def _split(arrays: Mapping[str, Array], text: Mapping[str, Any]) -> Iterable[Epi
             target_moved=pieces["target_moved"][i],
             end=description["end"],
             action_limit=description["action_limit"],
+            grasp=GraspRecord(**description["grasp"]) if "grasp" in description else None,
         )

@@ -1,7 +1,7 @@
 """Scores of recorded episodes, with 95 % confidence intervals over heaps.
 
 The heap is the unit of sampling: every episode counts once, lost targets and failed simulations
-included. Means have Student's t intervals; the share uncovered has a Wilson score interval, which
+included. Means have Student's t intervals; shares of episodes have a Wilson score interval, which
 stays inside [0, 1] and does not shrink to a point when all episodes end alike.
 """
 
@@ -26,7 +26,10 @@ METRICS = (
 """The scores of an evaluation; each reward term follows them as `term_<name>`."""
 
 GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
-"""Scores that need a grasp network, measured where one is named."""
+"""Scores of episodes whose target a grasp network has rated and a gripper has tried to lift."""
+
+SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after")
+"""Scores that are 1 or 0 in one episode."""
 
 HIGHER_IS_BETTER = {
     "reward": True,
@@ -35,8 +38,12 @@ HIGHER_IS_BETTER = {
     "episode_actions": False,
     "clutter_moved_m": False,
     "target_moved_m": False,
+    "graspability_change": True,
+    "retrieval_before": True,
+    "retrieval_after": True,
 }
 
+RETRIEVED = "success"
 CONFIDENCE = 0.95
 
 
@@ -57,7 +64,9 @@ def measure(record: EpisodeRecord) -> dict[str, float]:
         `reward` (sum over the episode), `visibility_change` (start minus end occlusion),
         `uncovered_rate` (1 or 0), `episode_actions` (the limit unless uncovered),
         `clutter_moved_m` (path length of a non-target object, averaged over them) [m],
-        `target_moved_m` (path length of the target) [m], and `term_<name>` for each reward term.
+        `target_moved_m` (path length of the target) [m], `term_<name>` for each reward term, and
+        where it was measured `graspability_change` (end minus start) and `retrieval_before` and
+        `retrieval_after` (1 if the best grasp lifts the target, else 0).
 
     Raises:
         MechSearchError: If a value is not finite, since it could not stay in a mean.
@@ -71,6 +80,11 @@ def measure(record: EpisodeRecord) -> dict[str, float]:
         "target_moved_m": record.target_moved.sum(),
     }
     values |= {f"term_{name}": term.sum() for name, term in record.reward_terms.items()}
+    grasp = record.grasp
+    if grasp is not None:
+        values["graspability_change"] = grasp.after - grasp.before
+        values["retrieval_before"] = grasp.lift_before == RETRIEVED
+        values["retrieval_after"] = grasp.lift_after == RETRIEVED
     for name, value in values.items():
         if not np.isfinite(value):
             raise MechSearchError(
@@ -106,13 +120,18 @@ def score(records: Iterable[EpisodeRecord]) -> dict[str, Estimate]:
     """Return every metric over all the episodes.
 
     Raises:
-        MechSearchError: If there are none.
+        MechSearchError: If there are none, or grasps were tried in only some of them.
     """
     measured = [measure(record) for record in records]
     if not measured:
         raise MechSearchError("there is no episode to score; expected at least one")
+    grasped = sum("graspability_change" in values for values in measured)
+    if 0 < grasped < len(measured):
+        raise MechSearchError(
+            f"grasps were tried in {grasped} of {len(measured)} episodes; expected all or none"
+        )
     return {
-        name: (share_interval if name == "uncovered_rate" else mean_interval)(
+        name: (share_interval if name in SHARES else mean_interval)(
             [values[name] for values in measured]
         )
         for name in measured[0]
@@ -130,7 +149,7 @@ def paired_difference(
 ) -> Estimate:
     """Return the mean of ours minus theirs, heap by heap, with its interval.
 
-    The interval is Student's t; Agresti and Min's (2005) for the share uncovered.
+    The interval is Student's t; Agresti and Min's (2005) for shares of episodes.
 
     Raises:
         MechSearchError: If the two were not run on the same heaps, or there is no such metric.
@@ -145,7 +164,7 @@ def paired_difference(
     if metric not in known:
         raise MechSearchError(f"unknown metric {metric!r}; choose one of {', '.join(known)}")
     differences = [left[heap][metric] - right[heap][metric] for heap in left]
-    if metric == "uncovered_rate":
+    if metric in SHARES:
         return _difference_of_shares(np.array(differences))
     return mean_interval(differences)
 

@@ -81,6 +81,7 @@ class Calibration:
             states.
         curve: Mean fitted chance, share of successes and number of executions (b, 3) on the test
             half.
+        rated: Likewise, of the quality as rated.
         executions: On the test half.
     """
 
@@ -92,6 +93,7 @@ class Calibration:
     rank_correlation: float
     score_correlation: float
     curve: Floats
+    rated: Floats
     executions: int
 
 
@@ -144,7 +146,8 @@ def calibrate(trials: Sequence[Trial]) -> Calibration:
     return Calibration(
         slope, offset, threshold,
         float(((quality - won) ** 2).mean()), float(((chance - won) ** 2).mean()),
-        float(ranked.statistic), float(scored.statistic), reliability(chance, won), len(won),
+        float(ranked.statistic), float(scored.statistic), reliability(chance, won),
+        reliability(quality, won), len(won),
     )  # fmt: skip
 
 

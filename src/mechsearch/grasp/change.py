@@ -40,15 +40,6 @@ class Change:
     retrieved_before: Outcome | None
     retrieved_after: Outcome | None
 
-    @property
-    def metrics(self) -> dict[str, float]:
-        """The paper's fourth metric, and whether the target could be lifted (1) or not (0)."""
-        return {
-            "graspability_change": self.after.score - self.before.score,
-            "retrieval_before": float(self.retrieved_before is Outcome.SUCCESS),
-            "retrieval_after": float(self.retrieved_after is Outcome.SUCCESS),
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class ChangeTask:

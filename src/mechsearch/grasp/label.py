@@ -41,7 +41,7 @@ class LabelConfig:
             label is then one draw of what the network shall estimate, the chance of success.
         opening: Of the gripper [m].
         split: "train" or "held-out" heaps.
-        limit: Number of heaps, the first ones; 0 takes all.
+        limit: Number of heaps, spread evenly; 0 takes all.
         shard: Heaps in a file.
         seed: Of all randomness.
     """
@@ -90,9 +90,13 @@ def label(
     """
     check_objects(heap_set, object_set(objects))
     heaps = heap_set.train if config.split == "train" else heap_set.held_out
-    heaps = heaps[: config.limit or None]
-    if not heaps:
-        raise MechSearchError(f"this heap set has no {config.split} heaps")
+    if not heaps or config.limit > len(heaps):
+        raise MechSearchError(
+            f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} "
+            "heaps"
+        )
+    number = config.limit or len(heaps)
+    heaps = [heaps[i * len(heaps) // number] for i in range(number)]
     identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
     folder = GraspFolder(path, identity)
     starts = range(0, len(heaps), config.shard)

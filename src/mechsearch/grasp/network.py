@@ -17,6 +17,9 @@ from mechsearch.types import Array, MechSearchError
 
 KIND = "mechsearch grasp network"
 
+SHIPPED = Path(__file__).with_name("parallel_jaw.safetensors")
+"""The network that is used unless another is named; `parallel_jaw.json` is its card."""
+
 _LAYERS = ("conv1_1", "conv1_2", "conv2_1", "conv2_2", "fc3", "fc4", "fc5")
 
 
@@ -83,12 +86,16 @@ class GraspNetwork(nn.Module):
         return torch.sigmoid(logits[:, :, 1] - logits[:, :, 0])
 
 
-def load_network(path: Path) -> GraspNetwork:
+def load_network(path: Path | None = None) -> GraspNetwork:
     """Return a network from its file: this project's (.safetensors), or a released one (.npz).
+
+    Args:
+        path: None takes the shipped network.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or holds another network.
     """
+    path = path or SHIPPED
     if path.suffix == ".npz":
         return _from_release(path)
     archive = load_archive(path, KIND)

@@ -236,17 +236,18 @@ def _drop(
     """Drop all objects one after another; return their poses at rest, or None."""
     waiting = [[0.0, 0.0, 100.0 + 3.0 * i, 1.0, 0.0, 0.0, 0.0] for i in range(world.count)]
     world.reset(np.array(waiting))
-    pause = round(0.16 / world.config.time_step)
+    # An object has fallen far enough to drop the next one above it.
+    pause = round(0.16 / len(walls) / world.config.time_step)
     for i, model in enumerate(models):
         wall = walls[i % len(walls)]
         reach = wall.radius if config.drop == "wall" else np.inf
         quaternion, low, offset = _orientation(model, reach, rng)
-        fallen = world.poses[:i, 2].max(initial=0.0)
+        fallen = world.poses[i % len(walls) : i : len(walls), 2].max(initial=0.0)
         height = max(config.height, fallen + 0.1) - low
         x, y = wall.x + offset[0], wall.y + offset[1]
         world.place(i, np.array([x, y, height, *quaternion]))
         world.step(pause)
-    world.step(round(0.5 / world.config.time_step))
+    world.step(round(0.25 / world.config.time_step))
     world.remove_walls()
     if not settle(world) or world.failure() is not None:
         return None

@@ -138,19 +138,20 @@ class Experiment:
     @property
     def missing(self) -> list[str]:
         """What the plan asks for and the folder has no scores of, such as "single: ddpg-seed3"."""
-        expected = {
-            (str(condition), str(variant), int(seed))
-            for condition in self.plan.get("conditions", ())
-            for variant in self.plan.get("variants", ())
-            for seed in self.plan.get("seeds", ())
-        }
+        plan = self.plan
         found = {
-            (condition.name, trial.name, trial.seed)
+            (condition.name, f"{trial.name}-seed{trial.seed}" if trial.trained else trial.name)
             for condition in self.conditions.values()
             for trials in condition.trials.values()
             for trial in trials
         }
-        return [f"{c}: {variant}-seed{seed}" for c, variant, seed in sorted(expected - found)]
+        runs = [f"{v}-seed{s}" for v in plan.get("variants", ()) for s in plan.get("seeds", ())]
+        expected = {
+            (str(condition), str(name))
+            for condition in plan.get("conditions", ())
+            for name in (*runs, *plan.get("references", ()))
+        }
+        return [f"{condition}: {name}" for condition, name in sorted(expected - found)]
 
 
 def is_experiment(folder: Path) -> bool:

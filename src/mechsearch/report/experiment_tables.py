@@ -1,10 +1,15 @@
 """Tables of an experiment: scores over seeds and heaps, and how each policy came about."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, share_interval
+from mechsearch.evaluation.metrics import (
+    GRASP_METRICS,
+    METRICS,
+    SHARES,
+    Estimate,
+    share_interval,
+)
 from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
 from mechsearch.report.document import Grid
 from mechsearch.report.experiment import Condition, Experiment
@@ -55,10 +60,10 @@ def estimate(condition: Condition, name: str, metric: str, count: int | None = N
     """Return a policy's mean over seeds and heaps."""
     values = condition.matrices([name], metric, count)[0]
     # Outcomes that are all alike leave a bootstrap nothing to draw from.
-    if set(values.ravel().tolist()) in ({0.0}, {1.0}) and _is_share(metric):
+    if set(values.ravel().tolist()) in ({0.0}, {1.0}) and metric in SHARES:
         return share_interval(values.mean(axis=0))
     found = mean_over_seeds_and_heaps(values)
-    if not _is_share(metric):
+    if metric not in SHARES:
         return found
     # Of few seeds an interval may end beyond what a share can be.
     return replace(found, ci_low=max(0.0, found.ci_low), ci_high=min(1.0, found.ci_high))
@@ -70,11 +75,12 @@ def trials_grid(condition: Condition) -> Grid:
     for trials in condition.trials.values():
         for trial in trials:
             header = trial.header
-            lost = len(header.get("quarantined", ()))
+            lost, tried = len(header.get("quarantined", ())), header.get("simulated_actions", 0)
             rows.append(
                 (
                     f"{trial.name}, seed {trial.seed}",
                     f"{trial.actions:,}" if trial.trained else "none",
+                    f"{tried:,}" if tried else "none",
                     str(len(trial.heaps)),
                     str(lost) if lost else "none",
                     ", ".join(map(str, header.get("keys", ()))),
@@ -89,16 +95,29 @@ def trials_grid(condition: Condition) -> Grid:
         "engine": first.get("engine"),
     }
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
-    columns = ("policy", "training actions", "heaps", "left out", "observes", "file")
+    columns = (
+        "policy",
+        "training actions",
+        "actions tried",
+        "heaps",
+        "left out",
+        "observes",
+        "file",
+    )
     caption = f"{condition.name.capitalize()} heaps: {said}"
     return Grid(Table(caption, columns, tuple(rows)), words=True)
 
 
 def plan_text(experiment: Experiment) -> str:
     """Return the plan that the experiments follow, in a line."""
-    plain = json.dumps(experiment.plan, sort_keys=True)
-    return f"The plan of the experiments: {plain.strip('{}')}."
+    parts = [f"{key.replace('_', ' ')} {_text(value)}" for key, value in experiment.plan.items()]
+    return f"The plan of the experiments: {'; '.join(sorted(parts))}."
 
 
-def _is_share(metric: str) -> bool:
-    return metric == "uncovered_rate" or metric.startswith("retrieval_")
+def _text(value: object) -> str:
+    """Return a value of the plan; of paths the last part, since machines differ in the others."""
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_text(one)}" for key, one in value.items())
+    return Path(value).name if isinstance(value, str) else str(value)

@@ -12,27 +12,32 @@ from mechsearch.types import Array
 REST_LIMIT = 0.001
 """At rest, no object moves farther than this [m] in one more simulated second."""
 
-_LOOK = 0.125
+_LOOK = 0.25
 """Time between two looks at a settling heap [s]."""
 
 AWAKE = PhysicsConfig(sleep_speed=0.0)
 """Physics in which nothing sleeps: rest is measured, not assumed."""
 
 
-def settle(world: World, seconds: float = 4.0, speed: float = 0.004) -> bool:
-    """Step until every object is slower than `speed` [m/s, rad/s / 10], or give up.
+def settle(world: World, seconds: float = 4.0, limit: float = REST_LIMIT) -> bool:
+    """Step until no object's centre moves faster than `limit` [m/s], or give up.
+
+    What counts is the way from one look to the next: contacts may tremble in place.
 
     Returns:
         Whether all objects came to rest on the table; it ends when the first has left that.
     """
-    weights = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
     chunk = max(1, round(_LOOK / world.config.time_step))
+    before = world.poses
     for _ in range(round(seconds / _LOOK)):
         world.step(chunk)
-        if world.workspace.off_table(world.poses).any():
+        poses = world.poses
+        if world.workspace.off_table(poses).any():
             return False
-        if float(np.abs(world.velocities * weights).max(initial=0.0)) < speed:
+        way = np.linalg.norm(poses[:, :3] - before[:, :3], axis=1)
+        if float(way.max(initial=0.0)) < limit * _LOOK:
             return True
+        before = poses
     return False
 
 
