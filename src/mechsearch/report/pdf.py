@@ -1,6 +1,7 @@
 """A document as a PDF for print: the same bytes from the same document."""
 
 import io
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -133,13 +134,17 @@ class _Pages(FPDF):
     def put_picture(self, picture: Picture) -> None:
         """Add a picture over the whole width, or as high as a page, with its caption."""
         content = picture.content
-        raw = io.BytesIO(content.encode() if isinstance(content, str) else content)
+        if isinstance(content, str):
+            # Who made it and when is none of a drawing's shapes.
+            content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL).encode()
         width, height = _size(picture)
         room = self.h - 2 * _MARGIN - 16
         scale = min(self.epw / width, room / height)
         self.need(height * scale + 8)
         left = _MARGIN + (self.epw - width * scale) / 2
-        self.image(raw, x=left, w=width * scale, h=height * scale, alt_text=picture.alt)
+        self.image(
+            io.BytesIO(content), x=left, w=width * scale, h=height * scale, alt_text=picture.alt
+        )
         self.ln(1)
         self.write_text(picture.caption, 8, colour=_SOFT, after=3)
 
