@@ -5,6 +5,15 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation.metrics import Estimate
+from mechsearch.report.answers import (
+    FAILS,
+    HOLDS,
+    UNDECIDED,
+    UNMEASURED,
+    percent,
+    signed,
+    verdict,
+)
 from mechsearch.report.claims import (
     GOALS,
     PAPER,
@@ -19,19 +28,16 @@ from mechsearch.report.claims import (
 from mechsearch.report.experiment import Experiment, read_experiment
 from mechsearch.report.questions import (
     BEST_TEACHER,
-    FAILS,
     FLOOR,
-    HOLDS,
-    UNDECIDED,
-    UNMEASURED,
     Better,
     Harder,
     Level,
     QuickerMovesMore,
+    Rises,
     ShareOfGap,
     resolved,
-    verdict,
 )
+from mechsearch.report.tables import MINUS
 
 WriteSweep = Callable[..., Path]
 
@@ -64,7 +70,8 @@ def only(rulings: dict[str, Ruling], words: str) -> Ruling:
         "holds up in single heaps",
         "does not hold up in dual heaps",
         "the quicker a policy",
-        "It moves the clutter less than any teacher",
+        "plus moves the clutter less than any teacher",
+        "improves on its own beginning",
     ],
 )
 def test_what_is_true_of_the_made_up_policies_holds(rulings: dict[str, Ruling], words: str) -> None:
@@ -135,6 +142,17 @@ def test_the_best_teacher_closes_its_own_gap_and_the_floor_none(experiment: Expe
         assert answer.estimate.ci_low == pytest.approx(share)
 
 
+def test_a_curve_is_held_against_its_own_beginning(experiment: Experiment) -> None:
+    """Seeds rise by 0.9, 0.91 and 0.92 in 8,000 actions, half of it in 4,000."""
+    answer = Rises("single", "reward", "method", 5000).ask(experiment)
+    assert answer.estimate is not None
+    assert answer.estimate.mean == pytest.approx(0.455)
+    assert "after 4,000 actions" in answer.figures
+    assert answer.verdict == HOLDS
+    assert Rises("single", "reward", "method", 3000).ask(experiment).verdict == UNMEASURED
+    assert Rises("single", "episode_actions", "method", 8000).ask(experiment).verdict == HOLDS
+
+
 def test_without_a_gap_nothing_is_decided(write_sweep: WriteSweep, tmp_path: Path) -> None:
     policies = {"method": 0.5, "teacher-spiral": 0.1, "random": 0.3, "idle": 0.0}
     experiment = read_experiment(write_sweep(tmp_path / "s", {"single": policies}))
@@ -182,7 +200,8 @@ def test_what_was_not_run_is_not_measured(write_sweep: WriteSweep, tmp_path: Pat
     ]
     for question in questions:
         assert question.ask(experiment).verdict == UNMEASURED
-    assert all(ruling.verdict == UNMEASURED for ruling in rule((*PAPER, *GOALS), experiment))
+    for ruling in rule((*PAPER, *GOALS), experiment):
+        assert ruling.verdict == UNMEASURED
 
 
 @pytest.mark.parametrize(
@@ -201,6 +220,13 @@ def test_the_whole_interval_must_lie_on_one_side(
     low: float, high: float, above: bool, expected: str
 ) -> None:
     assert verdict(Estimate((low + high) / 2, low, high, 9), 0, above) == expected
+
+
+def test_a_number_without_an_interval_is_shown_alone() -> None:
+    alone = Estimate(0.25, float("nan"), float("nan"), 1)
+    assert percent(alone) == "25%"
+    assert signed("reward", alone) == "+0.2"
+    assert percent(Estimate(-0.001, -0.3, 0.2, 9)) == f"0% ({MINUS}30% to 20%)"
 
 
 def test_a_claim_holds_only_if_all_its_rows_do() -> None:

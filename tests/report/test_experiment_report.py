@@ -27,7 +27,7 @@ def report(sweep: Path, models: Models) -> Document:
 def test_page_and_print_have_the_same_sections(report: Document) -> None:
     assert [section.title for section in report.sections] == [
         "What the paper claims",
-        "What this project asks of its own policy",
+        "What this project asks besides",
         "Learning",
         "Actions used against clutter moved",
         "Scores",

@@ -7,7 +7,7 @@ from scipy import stats
 
 from mechsearch.report import learning, tradeoff
 from mechsearch.report.curves import Run
-from mechsearch.report.experiment import Experiment, read_experiment
+from mechsearch.report.experiment import Condition, Experiment, read_experiment
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,15 @@ def test_rows_have_every_value_of_every_seed(experiment: Experiment) -> None:
     assert head == learning.COLUMNS
     # Two conditions, six variants, three seeds, three steps, three metrics.
     assert len(rows) == 2 * 6 * 3 * 3 * 3
-    assert ("single", "method", "1", "held-out heaps", "8000", "reward", "0.91") in rows
+    assert ("single", "method", "1", "held-out heaps", "8000", "reward", "0.91", "", "", "") in rows
+
+
+def test_rows_have_the_interval_that_a_run_logged() -> None:
+    logged = {"step": 5, "reward": 1.0, "reward_ci_low": 0.5, "reward_ci_high": 1.5, "heaps": 50}
+    single = Condition("single", {}, {"method": (Run("method", 2, {"held_out": [logged]}),)})
+    _, row = learning.curve_rows(Experiment(Path(), {}, {"single": single}))
+    place = ("single", "method", "2", "held-out heaps", "5")
+    assert row == (*place, "reward", "1", "0.5", "1.5", "50")
 
 
 def test_the_tradeoff_has_a_panel_for_each_number_of_objects(experiment: Experiment) -> None:

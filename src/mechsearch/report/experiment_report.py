@@ -74,7 +74,7 @@ def document(
     experiment = analysis.experiment
     sections = [
         Section("What the paper claims", _rulings(analysis.paper)),
-        Section("What this project asks of its own policy", _rulings(analysis.goals)),
+        Section("What this project asks besides", _rulings(analysis.goals)),
         Section("Learning", _learning(analysis)),
         Section("Actions used against clutter moved", _tradeoff(analysis)),
         Section("Scores", _scores(experiment)),

@@ -1,14 +1,16 @@
 """Learning curves over seeds, as the paper's Figures 4 and 5 have them, and as rows of numbers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mechsearch.evaluation.metrics import Estimate, mean_interval
+from mechsearch.evaluation.metrics import GRASP_METRICS, Estimate, mean_interval
+from mechsearch.evaluation.metrics import METRICS as ALL_METRICS
 from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
 from mechsearch.report.curves import EVALUATIONS, Run, draw_levels
 from mechsearch.report.experiment import CEILING, Condition, Experiment
@@ -20,7 +22,18 @@ LEARNING = ("method", "plus", "ddpg")
 ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
 METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
 ABLATION_METRICS = ("reward", "visibility_change")
-COLUMNS = ("condition", "variant", "seed", "heaps", "step", "metric", "value")
+COLUMNS = (
+    "condition",
+    "variant",
+    "seed",
+    "scored_on",
+    "step",
+    "metric",
+    "mean",
+    "ci_low",
+    "ci_high",
+    "heaps",
+)
 
 
 @dataclass(frozen=True)
@@ -77,17 +90,25 @@ def draw_ablation(experiment: Experiment) -> Figure:
 
 
 def curve_rows(experiment: Experiment) -> list[tuple[str, ...]]:
-    """Return every value of every curve, headings first."""
+    """Return every point of every curve, with its interval over heaps if it has one."""
     rows: list[tuple[str, ...]] = [COLUMNS]
     for condition in experiment.conditions.values():
         for name, runs in condition.runs.items():
             for run in runs:
                 for kind, heaps in EVALUATIONS.items():
-                    for metric in run.keys(kind):
-                        for step, value in zip(*run.series(kind, metric), strict=True):
-                            cells = (str(run.seed), heaps, f"{step:.0f}", metric, f"{value:.6g}")
-                            rows.append((condition.name, name, *cells))
+                    for record in run.records.get(kind, ()):
+                        place = (condition.name, name, str(run.seed), heaps, str(record["step"]))
+                        rows += [(*place, metric, *cells) for metric, cells in _cells(record)]
     return rows
+
+
+def _cells(record: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield each metric of one evaluation with its mean, interval and number of heaps."""
+    for metric in (*ALL_METRICS, *GRASP_METRICS):
+        if metric in record:
+            values = (record.get(metric + end, "") for end in ("", "_ci_low", "_ci_high"))
+            cells = [f"{value:.6g}" if value != "" else "" for value in values]
+            yield metric, (*cells, str(record.get("heaps", "")))
 
 
 def _draw(

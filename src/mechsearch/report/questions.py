@@ -5,41 +5,31 @@ the question names, no if it lies on the other, and undecided if it holds the th
 are of the crossed bootstrap over training seeds and heaps (`bootstrap`).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy import stats
 
-from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, Estimate
+from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, mean_interval
+from mechsearch.report.answers import (
+    UNDECIDED,
+    UNMEASURED,
+    Answer,
+    percent,
+    seeds_of,
+    signed,
+    sizes,
+    verdict,
+)
 from mechsearch.report.bootstrap import SEED, interval, replicates
 from mechsearch.report.experiment import PASSIVE, Experiment
+from mechsearch.report.learning import curve, scored_on
 from mechsearch.report.tables import MINUS, display, number
 from mechsearch.types import Floats
 
-HOLDS, FAILS, UNDECIDED, UNMEASURED = "holds", "does not hold", "undecided", "not measured"
 FLOOR, BEST_TEACHER = "the better of idle and random", "the best teacher"
 """Policies by what they are: which ones that is depends on the scores."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What was found.
-
-    Attributes:
-        about: Condition and metric.
-        figures: Means, difference and interval in words.
-        verdict: "holds", "does not hold", "undecided" or "not measured".
-        test: Number of heaps and seeds behind it.
-        estimate: The number that was compared with the threshold.
-    """
-
-    about: str
-    figures: str
-    verdict: str
-    test: str = ""
-    estimate: Estimate | None = None
 
 
 class Question(Protocol):
@@ -47,15 +37,6 @@ class Question(Protocol):
 
     def ask(self, experiment: Experiment) -> Answer:
         """Return the answer, or that it was not measured."""
-
-
-def verdict(estimate: Estimate, threshold: float, above: bool) -> str:
-    """Return whether an estimate lies above (or below) a threshold with its whole interval."""
-    if estimate.ci_low > threshold:
-        return HOLDS if above else FAILS
-    if estimate.ci_high < threshold:
-        return FAILS if above else HOLDS
-    return UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -194,7 +175,7 @@ class Harder:
             f"{number(self.metric, easier)}: {signed(self.metric, estimate)}"
         )
         heaps = " and ".join(str(one.shape[1]) for one in values)
-        test = f"unpaired difference, {heaps} heaps, {_seeds(values, [self.ours, self.ours])}"
+        test = f"unpaired difference, {heaps} heaps, {seeds_of(values, [self.ours, self.ours])}"
         above = not HIGHER_IS_BETTER[self.metric]
         return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
 
@@ -228,6 +209,45 @@ class Level:
         least = number(self.metric, self.least)
         test = f"more than {least}; {sizes(matrices, [self.ours], experiment)}"
         return Answer(about, figures, verdict(estimate, self.least, True), test, estimate)
+
+
+@dataclass(frozen=True)
+class Rises:
+    """Does a learning curve improve on its own beginning?
+
+    Attributes:
+        condition: Of the heaps.
+        metric: Of the curve.
+        ours: A variant.
+        within: Actions until the later point.
+    """
+
+    condition: str
+    metric: str
+    ours: str
+    within: int
+
+    def ask(self, experiment: Experiment) -> Answer:
+        """Answer by the later point minus the untrained one, with Student's t over the seeds."""
+        about = f"{self.condition}, {display(self.metric).label}"
+        found = experiment.conditions.get(self.condition)
+        runs = found.runs.get(self.ours, ()) if found else ()
+        drawn = curve(runs, self.metric, scored_on(experiment))
+        place = int((drawn.steps <= self.within).sum()) - 1 if drawn else 0
+        if drawn is None or drawn.steps[0] > 0 or place < 1:
+            return Answer(about, f"the curve of {self.ours} from its beginning", UNMEASURED)
+        step, first, last = drawn.steps[place], drawn.seeds[:, 0], drawn.seeds[:, place]
+        estimate = mean_interval(last - first)
+        figures = (
+            f"{number(self.metric, float(first.mean()))} untrained, "
+            f"{number(self.metric, float(last.mean()))} after {step:,.0f} actions: "
+            f"{signed(self.metric, estimate)}"
+        )
+        test = f"Student's t over {len(first)} seeds"
+        if len(first) == 1:
+            test = "1 seed: no interval"
+        above = HIGHER_IS_BETTER[self.metric]
+        return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
 
 
 @dataclass(frozen=True)
@@ -286,52 +306,6 @@ def measured(experiment: Experiment, condition: str, metric: str, *names: str) -
     """Return whether all the policies have values of a metric in a condition."""
     found = experiment.conditions.get(condition)
     return found is not None and all(found.measured(name, metric) for name in names)
-
-
-def sizes(matrices: Sequence[Floats], names: Sequence[str], experiment: Experiment) -> str:
-    """Return how many heaps and training seeds stand behind a number."""
-    trained = {
-        trial.name
-        for condition in experiment.conditions.values()
-        for trials in condition.trials.values()
-        for trial in trials
-        if trial.trained
-    }
-    kept = [(m, n) for m, n in zip(matrices, names, strict=True) if n in trained]
-    heaps = f"{matrices[0].shape[1]} heaps"
-    if not kept:
-        return heaps
-    return f"{heaps}, {_seeds([m for m, _ in kept], [n for _, n in kept])}"
-
-
-def signed(metric: str, estimate: Estimate) -> str:
-    """Return a difference with its interval."""
-    mean, low, high = (
-        number(metric, value, signed=True)
-        for value in (estimate.mean, estimate.ci_low, estimate.ci_high)
-    )
-    return f"{mean} ({low} to {high})"
-
-
-def percent(estimate: Estimate) -> str:
-    """Return a share with its interval."""
-    # What rounds to nothing has no sign.
-    mean, low, high = (
-        f"{round(share, 2) + 0.0:.0%}"
-        for share in (estimate.mean, estimate.ci_low, estimate.ci_high)
-    )
-    return f"{mean} ({low} to {high})".replace("-", MINUS)
-
-
-def _seeds(matrices: Sequence[Floats], names: Sequence[str]) -> str:
-    numbers = [len(values) for values in matrices]
-    if set(numbers) == {1}:
-        return "1 seed: the interval covers heaps only"
-    if len(set(numbers)) == 1:
-        return f"{numbers[0]} seeds"
-    parts = (f"{name} {count}" for name, count in zip(names, numbers, strict=True))
-    text = f"seeds: {', '.join(parts)}"
-    return text + "; of one seed, heaps only" if 1 in numbers else text
 
 
 def _rank_correlation(left: Floats, right: Floats) -> Floats:
