@@ -8,9 +8,9 @@ from PIL import Image
 
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import document, experiment_report, pdf
-from mechsearch.report.document import Document, Grid, Paragraph, Picture, Section, Subheading
+from mechsearch.report.document import Document, Grid, Paragraph, Picture, Section
 from mechsearch.report.experiment import read_experiment
-from mechsearch.report.experiment_tables import estimate
+from mechsearch.report.experiment_tables import estimate, made_grid
 from mechsearch.report.failure_modes import SUCCESS, UNFINISHED
 from mechsearch.report.mode_pictures import chosen, mode_pictures
 from mechsearch.report.tables import MINUS, Table
@@ -69,6 +69,7 @@ def test_the_lead_says_what_was_scored_and_what_is_missing(
     folder = write_sweep(tmp_path / "s", {"single": {"method": 0.5, "idle": 0.0}}, seeds=1)
     text = experiment_report.lead(read_experiment(folder))
     assert text.startswith("2 policies on 30 held-out single heaps, all from the same starts.")
+    assert "Those that learnt executed 8,000 actions in training." in text
     assert "Planned and not scored yet: single: ddpg-seed0, single: no-asymmetry-seed0" in text
 
 
@@ -80,6 +81,14 @@ def test_a_sweep_of_few_variants_is_reported_and_says_so(
     text = document.to_html(experiment_report.document(analysis, "Little"))
     assert text.count("not measured") > len(analysis.paper)
     assert pdf.to_pdf(experiment_report.document(analysis, "Little")).startswith(b"%PDF")
+
+
+def test_how_each_policy_came_about_is_one_row(sweep: Path) -> None:
+    single = read_experiment(sweep).conditions["single"]
+    rows = {row[0]: row[1:] for row in made_grid(single).table.rows}
+    assert list(rows) == list(single.trials)
+    assert rows["method"][:5] == ("0, 1, 2", "8,000", "none", "30", "none")
+    assert rows["idle"][:2] == ("0", "none")
 
 
 def test_nothing_says_where_the_files_lay(sweep: Path, report: Document) -> None:
@@ -100,10 +109,10 @@ def test_the_episode_of_a_success_is_the_median_one(sweep: Path, models: Models)
         if behaviour.mode == SUCCESS
     )
     assert trial.values["reward"][index] == rewards[len(rewards) // 2]
-    heading, picture = mode_pictures(condition, models)
-    assert heading == Subheading("Success")
+    (picture,) = mode_pictures(condition, models)
     assert isinstance(picture, Picture)
     assert isinstance(picture.content, bytes)
+    assert picture.caption.startswith("Success: method, seed")
     assert str(trial.heaps[index]) in picture.caption
     Image.open(io.BytesIO(picture.content)).verify()
 

@@ -25,13 +25,6 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
-class Subheading:
-    """A heading within a section."""
-
-    text: str
-
-
-@dataclass(frozen=True)
 class Grid:
     """A table.
 
@@ -63,7 +56,7 @@ class Picture:
     caption: str
 
 
-Block = Paragraph | Subheading | Grid | Picture
+Block = Paragraph | Grid | Picture
 
 
 @dataclass(frozen=True)
@@ -120,8 +113,6 @@ def _block_html(block: Block) -> str:
     if isinstance(block, Paragraph):
         kind = ' class="note"' if block.note else ""
         return f"<p{kind}>{escape(block.text)}</p>"
-    if isinstance(block, Subheading):
-        return f"<h3>{escape(block.text)}</h3>"
     if isinstance(block, Grid):
         return tables.to_html(block.table, block.marks, block.words)
     return picture_html(block)

@@ -11,16 +11,17 @@ from mechsearch.report.experiment import Condition, Experiment
 from mechsearch.report.experiment_tables import (
     NOTE,
     count_grid,
+    made_grid,
     plan_text,
     score_grid,
-    trials_grid,
 )
 from mechsearch.report.figures import to_svg
 from mechsearch.report.mode_pictures import mode_pictures
 from mechsearch.report.tables import Table
 
-_OVERVIEW_WIDTHS = (62, 16, 22)
-_DETAIL_WIDTHS = (22, 44, 13, 26)
+_OVERVIEW_WIDTHS = (64, 15, 24)
+_DETAIL_WIDTHS = (22, 44, 15, 27)
+_NOTE = Paragraph(claims.NOTE, note=True)
 _PANELS = (
     "One panel for all heaps and one for each number of objects in a heap. Bars: 95 % intervals."
 )
@@ -73,7 +74,7 @@ def document(
     """
     experiment = analysis.experiment
     sections = [
-        Section("What the paper claims", _rulings(analysis.paper)),
+        Section("What the paper claims", [*_rulings(analysis.paper), _NOTE]),
         Section("What this project asks besides", _rulings(analysis.goals)),
         Section("Learning", _learning(analysis)),
         Section("Actions used against clutter moved", _tradeoff(analysis)),
@@ -102,12 +103,27 @@ def lead(experiment: Experiment) -> str:
         split = str(trials[0].header["split"])
         kinds = f"{split} " if split != "all" else ""
         parts.append(f"{len(condition.trials)} policies on {heaps} {kinds}{condition.name} heaps")
-    text = f"{' and '.join(parts)}, all from the same starts."
+    text = f"{' and '.join(parts)}, all from the same starts.{_training(experiment)}"
     if experiment.missing:
         some = ", ".join(experiment.missing[:12])
         more = len(experiment.missing) - 12
         text += f" Planned and not scored yet: {some}{f' and {more} more' if more > 0 else ''}."
     return text
+
+
+def _training(experiment: Experiment) -> str:
+    actions = [
+        trial.actions
+        for condition in experiment.conditions.values()
+        for trials in condition.trials.values()
+        for trial in trials
+        if trial.trained
+    ]
+    if not actions:
+        return ""
+    least, most = min(actions), max(actions)
+    number = f"{most:,}" if least == most else f"{least:,} to {most:,}"
+    return f" Those that learnt executed {number} actions in training."
 
 
 def _rulings(rulings: Sequence[claims.Ruling]) -> list[Block]:
@@ -116,7 +132,7 @@ def _rulings(rulings: Sequence[claims.Ruling]) -> list[Block]:
     for ruling in rulings:
         table, marks = claims.detail(ruling)
         blocks.append(Grid(table, marks, True, _DETAIL_WIDTHS))
-    return [*blocks, Paragraph(claims.NOTE, note=True)]
+    return blocks
 
 
 def _learning(analysis: Analysis) -> list[Block]:
@@ -189,5 +205,5 @@ def _mode_table(condition: Condition) -> Table:
 
 
 def _made(experiment: Experiment) -> list[Block]:
-    blocks: list[Block] = [trials_grid(c) for c in experiment.conditions.values()]
+    blocks: list[Block] = [made_grid(c) for c in experiment.conditions.values()]
     return [*blocks, Paragraph(plan_text(experiment), note=True)]

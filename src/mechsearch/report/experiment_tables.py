@@ -1,5 +1,6 @@
 """Tables of an experiment: scores over seeds and heaps, and how each policy came about."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,9 @@ NOTE = (
     " Every episode counts, lost targets and failed simulations included; an unfinished one counts "
     "all its actions. Clutter moved is the path length of a non-target object."
 )
+
+_MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
+_MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
 
 
 def score_grid(condition: Condition) -> Grid:
@@ -69,43 +73,33 @@ def estimate(condition: Condition, name: str, metric: str, count: int | None = N
     return replace(found, ci_low=max(0.0, found.ci_low), ci_high=min(1.0, found.ci_high))
 
 
-def trials_grid(condition: Condition) -> Grid:
+def made_grid(condition: Condition) -> Grid:
     """Return how each scored policy came about."""
     rows = []
-    for trials in condition.trials.values():
-        for trial in trials:
-            header = trial.header
-            lost, tried = len(header.get("quarantined", ())), header.get("simulated_actions", 0)
-            rows.append(
-                (
-                    f"{trial.name}, seed {trial.seed}",
-                    f"{trial.actions:,}" if trial.trained else "none",
-                    f"{tried:,}" if tried else "none",
-                    str(len(trial.heaps)),
-                    str(lost) if lost else "none",
-                    ", ".join(map(str, header.get("keys", ()))),
-                    trial.path.name,
-                )
+    for name, trials in condition.trials.items():
+        headers = [trial.header for trial in trials]
+        learnt = [trial.actions for trial in trials if trial.trained]
+        rows.append(
+            (
+                name,
+                ", ".join(str(trial.seed) for trial in trials),
+                _range(learnt),
+                _range([header.get("simulated_actions", 0) for header in headers]),
+                _range([len(trial.heaps) for trial in trials]),
+                _range([len(header.get("quarantined", ())) for header in headers]),
+                ", ".join(map(str, headers[0].get("keys", ()))),
             )
+        )
     first = next(iter(condition.trials.values()))[0].header
     facts = {
         "heap set": first.get("heap_set"),
         "objects": Path(str(first.get("object_set", ""))).name,
         "mechsearch": first.get("version"),
-        "engine": first.get("engine"),
+        "MuJoCo": first.get("engine"),
     }
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
-    columns = (
-        "policy",
-        "training actions",
-        "actions tried",
-        "heaps",
-        "left out",
-        "observes",
-        "file",
-    )
     caption = f"{condition.name.capitalize()} heaps: {said}"
-    return Grid(Table(caption, columns, tuple(rows)), words=True)
+    return Grid(Table(caption, _MADE, tuple(rows)), words=True, widths=_MADE_WIDTHS)
 
 
 def plan_text(experiment: Experiment) -> str:
@@ -121,3 +115,11 @@ def _text(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_text(one)}" for key, one in value.items())
     return Path(value).name if isinstance(value, str) else str(value)
+
+
+def _range(numbers: Sequence[int]) -> str:
+    """Return a number, or the least and the greatest; "none" for nothing."""
+    if not numbers or not max(numbers):
+        return "none"
+    least, most = min(numbers), max(numbers)
+    return f"{most:,}" if least == most else f"{least:,} to {most:,}"

@@ -7,7 +7,7 @@ from PIL import Image
 
 from mechsearch.evaluation.episodes import load
 from mechsearch.objects.model import ObjectModel
-from mechsearch.report.document import Block, Picture, Subheading
+from mechsearch.report.document import Block, Picture
 from mechsearch.report.experiment import Condition, Trial
 from mechsearch.report.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip
@@ -26,7 +26,7 @@ def mode_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> li
     for mode in PICTURED:
         found = chosen(condition, mode)
         if found:
-            blocks += [Subheading(mode.capitalize()), _picture(condition, mode, *found, models)]
+            blocks.append(_picture(condition, mode, *found, models))
     return blocks
 
 

@@ -12,7 +12,7 @@ from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 from PIL import Image
 
-from mechsearch.report.document import Block, Document, Grid, Paragraph, Picture, Subheading
+from mechsearch.report.document import Block, Document, Grid, Paragraph, Picture
 from mechsearch.runs import write_whole
 
 # A file's date is not part of what it says, and would change its bytes.
@@ -70,8 +70,6 @@ class _Pages(FPDF):
         if isinstance(block, Paragraph):
             size, colour = (8, _SOFT) if block.note else (9.5, _INK)
             self.write_text(block.text, size, colour=colour, after=2)
-        elif isinstance(block, Subheading):
-            self.head(block.text, 10.5, before=2)
         elif isinstance(block, Grid):
             self.put_table(block)
         else:
