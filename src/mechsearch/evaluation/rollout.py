@@ -16,6 +16,7 @@ from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
+from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError, Observation, Policy, select
 from mechsearch.workers import Failure
 
@@ -259,7 +260,7 @@ def _header(
         },
         "split": plan.split,
         "env": asdict(env.config),
-        "engine": heap_set.manifest["engine"],
+        "engine": ENGINE_VERSION,
         "version": version("mechsearch"),
     }
     # As it will be read back: lists for tuples.
