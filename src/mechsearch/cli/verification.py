@@ -9,7 +9,7 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.verify import replay_all
-from mechsearch.sim.world import ENGINE_VERSION
+from mechsearch.fingerprint import crossed, fingerprint
 from mechsearch.types import MechSearchError
 
 
@@ -57,7 +57,7 @@ class Verify(Command):
                 say(f"{path}: heap {replay.heap_seed}: {'; '.join(replay.differences)}")
         same = sum(replay.passed for replay in found)
         say(f"{path}: {same} of {number} episodes are as recorded, bit by bit")
-        engine = evaluation.header["engine"]
-        if same < number and engine != ENGINE_VERSION:
-            say(f"they were recorded with MuJoCo {engine}; this is {ENGINE_VERSION}")
+        others = crossed(evaluation.header.get("fingerprint", {}), fingerprint())
+        if others:
+            say(f"here it is {', '.join(others)}: bits may differ by rounding")
         return same == number
