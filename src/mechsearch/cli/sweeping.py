@@ -45,6 +45,7 @@ class Sweep(Command):
         curve_every: Actions between two points of a curve.
         final_heaps: Held-out heaps of the final scores.
         demonstrations: Heaps that are demonstrated for plus.
+        imitation_updates: Gradient steps on the demonstrations.
         grasps: Whether final episodes are measured by graspability and retrieval too.
         workers: Jobs at a time, one process each.
         ray: Spread the jobs by Ray instead.
@@ -66,6 +67,7 @@ class Sweep(Command):
     curve_every: int | None = None
     final_heaps: int | None = None
     demonstrations: int | None = None
+    imitation_updates: int | None = None
     grasps: bool | None = None
     workers: int = WORKERS
     ray: bool = False

@@ -32,8 +32,8 @@ class Job:
 
     @property
     def kind(self) -> str:
-        """Jobs of one kind take as long for one cost."""
-        return type(self).__name__
+        """What the job is, in words; jobs of one kind are equally much dearer than their cost."""
+        raise NotImplementedError
 
     @property
     def after(self) -> tuple[str, ...]:

@@ -21,6 +21,14 @@ VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "p
 REFERENCES = (*policy_names(), LOOK_AHEAD)
 
 
+def _check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise MechSearchError(f"unknown {what} {unknown[0]!r}; choose among {', '.join(known)}")
+    if len(set(names)) < len(names):
+        raise MechSearchError(f"a {what} is named twice in {', '.join(names)}; expected each once")
+
+
 @dataclass(frozen=True)
 class SweepPlan:
     """All experiments of the paper's section V, unless it says otherwise.
@@ -219,11 +227,3 @@ def _check_sizes(plan: SweepPlan, file: str, training: int, held_out: int) -> No
             raise MechSearchError(
                 f"{name} is {getattr(plan, name)}, but {file} has {there} {kind} heaps"
             )
-
-
-def _check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise MechSearchError(f"unknown {what} {unknown[0]!r}; choose among {', '.join(known)}")
-    if len(set(names)) < len(names):
-        raise MechSearchError(f"a {what} is named twice in {', '.join(names)}; expected each once")

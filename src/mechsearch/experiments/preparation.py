@@ -22,6 +22,11 @@ class Heaps(Job):
         return f"{self.condition}/heaps"
 
     @property
+    def kind(self) -> str:
+        """A heap set."""
+        return "heap sets"
+
+    @property
     def after(self) -> tuple[str, ...]:
         """Nothing."""
         return ()
@@ -61,6 +66,11 @@ class Demonstrations(Job):
     def name(self) -> str:
         """Such as "single/demonstrations-0040"."""
         return f"{self.condition}/demonstrations-{self.first:04d}"
+
+    @property
+    def kind(self) -> str:
+        """Demonstrations."""
+        return "demonstrations"
 
     @property
     def cost(self) -> float:

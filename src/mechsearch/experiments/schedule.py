@@ -36,11 +36,20 @@ def chains_of(plan: SweepPlan, folder: SweepFolder, grasp: Grasp | None = None) 
 
 
 def next_wave(chains: Sequence[Chain], done: Collection[str], tried: set[Chain]) -> list[Chain]:
-    """Return the chains, not tried yet, all of whose needs are done; the rest must wait."""
-    wave = []
-    for chain in chains:
-        own = {job.name for job in chain}
-        needs = {name for job in chain for name in job.after} - own
-        if chain not in tried and needs <= set(done) and not own <= set(done):
-            wave.append(chain)
-    return wave
+    """Return the chains to carry out next: what others wait for, or else all that need not wait.
+
+    Args:
+        chains: All, in their order.
+        done: Names of the jobs that are done.
+        tried: Chains that were carried out, whether or not they failed.
+    """
+    left = [c for c in chains if c not in tried and not all(job.name in done for job in c)]
+    ready = [chain for chain in left if _needs(chain) <= set(done)]
+    needed = {name for chain in left for name in _needs(chain)} - set(done)
+    first = [chain for chain in ready if any(job.name in needed for job in chain)]
+    return first or ready
+
+
+def _needs(chain: Chain) -> set[str]:
+    """Return the names of the jobs of other chains that a chain needs."""
+    return {name for job in chain for name in job.after} - {job.name for job in chain}

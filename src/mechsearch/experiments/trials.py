@@ -43,6 +43,11 @@ class Training(Job):
         return f"{self.condition}/{self.variant}-seed{self.seed}"
 
     @property
+    def kind(self) -> str:
+        """A run by reinforcement or by imitation."""
+        return "imitation runs" if self.variant in self.plan.imitators else "training runs"
+
+    @property
     def after(self) -> tuple[str, ...]:
         """The heaps, and for variants that imitate all demonstrations."""
         if self.variant not in self.plan.imitators:
@@ -141,6 +146,11 @@ class Scoring(Job):
     def name(self) -> str:
         """Such as "single/scores of idle"."""
         return f"{self.condition}/scores of {self._label}"
+
+    @property
+    def kind(self) -> str:
+        """Scores."""
+        return "scores"
 
     @property
     def cost(self) -> float:
