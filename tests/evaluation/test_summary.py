@@ -1,3 +1,4 @@
+import multiprocessing
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,3 +98,20 @@ def test_a_file_that_is_no_summary_is_refused_and_kept(
 def test_a_missing_summary_is_named(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no summary at"):
         summary.read(tmp_path / "summary.csv")
+
+
+def merge_ten(path: Path, seed: int) -> None:
+    for actions in range(10):
+        summary.merge(path, [replace(ROW, seed=seed, actions=actions)])
+
+
+def test_processes_that_merge_at_once_lose_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "summary.csv"
+    context = multiprocessing.get_context("spawn")
+    crew = [context.Process(target=merge_ten, args=(path, seed)) for seed in range(4)]
+    for process in crew:
+        process.start()
+    for process in crew:
+        process.join()
+    assert [process.exitcode for process in crew] == [0] * 4
+    assert len(summary.read(path)) == 40

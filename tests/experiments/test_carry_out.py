@@ -19,6 +19,7 @@ from mechsearch.evaluation.metrics import METRICS
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.journal import BEGAN, Journal
+from mechsearch.experiments.plan import open_plan
 from mechsearch.experiments.status import DONE, FAILED, RUNNING, WAITING, status_of
 from mechsearch.experiments.trials import ReferenceScoring
 from mechsearch.parallel import map_long_work
@@ -118,10 +119,9 @@ from pathlib import Path
 from mechsearch.agent.records import record_from_json
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.parallel import map_long_work
 if __name__ == "__main__":
     plan = record_from_json(SweepPlan, json.loads(sys.argv[1]))
-    carry_out(plan, Path(sys.argv[2]), 2, map_long_work)
+    carry_out(plan, Path(sys.argv[2]))
 """
 
 
@@ -140,8 +140,8 @@ def test_a_killed_sweep_goes_on_and_gives_the_same_bytes(whole, tiny, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert not (path / "single/evaluations/method-seed0-60.npz").exists()
-    # Workers end with the process that started them; the lock is free at once.
-    status = carry_out(tiny, path, 2, map_long_work)
+    # The lock has died with its holder.
+    status = carry_out(tiny, path)
     assert set(states(status).values()) == {DONE}
     for name in TABLES:
         assert (path / name).read_bytes() == (whole[0] / name).read_bytes(), name
@@ -171,43 +171,34 @@ def test_a_second_sweep_on_a_folder_is_refused_while_the_first_is_at_work(few, t
 
 
 def test_a_foreign_run_directory_is_named_and_the_others_go_on(tiny, tmp_path, capsys):
-    plan = replace(tiny, variants=("method",))
-    foreign = tmp_path / "single/runs/method-seed0"
-    carry_out(replace(plan, variants=(), seeds=()), tmp_path / "other")
-    foreign = tmp_path / "sweep/single/runs/method-seed0"
-    (tmp_path / "sweep").mkdir()
-    with pytest.raises(MechSearchError):
-        # Nothing may lie in a new folder.
-        foreign.mkdir(parents=True)
-        carry_out(plan, tmp_path / "sweep")
-    os.removedirs(foreign)
+    plan, sweep = replace(tiny, variants=("method",), references=("idle",)), tmp_path / "sweep"
     carry_out(replace(plan, actions=61), tmp_path / "longer")
-    carry_out_interrupted(plan, tmp_path / "sweep")
-    foreign.parent.mkdir(parents=True)
-    os.rename(tmp_path / "longer/single/runs/method-seed0", foreign)
-    status = carry_out(plan, tmp_path / "sweep")
+    planned(plan, sweep)
+    (sweep / "single/runs").mkdir(parents=True)
+    run = Path("single/runs/method-seed0")
+    os.rename(tmp_path / "longer" / run, sweep / run)
+    status = carry_out(plan, sweep)
     assert "a run of another configuration" in reasons(status)["single/method-seed0"]
     assert states(status)["single/scores of method-seed0"] == WAITING
     assert states(status)["single/scores of idle"] == DONE
     with pytest.raises(SystemExit) as stopped:
-        main(["sweep", "--out", str(tmp_path / "sweep"), "--workers", "1"])
+        main(["sweep", "--out", str(sweep), "--workers", "1"])
     assert stopped.value.code == 1
     said = capsys.readouterr().out
     assert "failed: single/method-seed0: " in said
     assert "waiting: single/scores of method-seed0 needs single/method-seed0" in said
+    assert (sweep / "curves.csv").read_text().count("\n") == 1
 
 
-def carry_out_interrupted(plan, path):
+def planned(plan, path):
     """Write the plan, and do nothing of it."""
-    from mechsearch.experiments.plan import open_plan
-
     path.mkdir(exist_ok=True)
     open_plan(plan, SweepFolder(path))
 
 
 def test_a_run_directory_without_its_configuration_is_refused(tiny, tmp_path):
     plan = replace(tiny, variants=("method",), references=())
-    carry_out_interrupted(plan, tmp_path)
+    planned(plan, tmp_path)
     run = tmp_path / "single/runs/method-seed0"
     run.mkdir(parents=True)
     (run / "actor.safetensors").write_bytes(b"?")
@@ -288,7 +279,7 @@ def test_a_job_that_kills_two_workers_is_reported(few, tmp_path):
 
 def test_the_status_tells_what_is_done_running_and_waiting(few, tmp_path, capsys):
     plan = replace(few, references=("idle", "random", "teacher-spiral"))
-    carry_out_interrupted(plan, tmp_path)
+    planned(plan, tmp_path)
     journal = Journal(SweepFolder(tmp_path).journal)
     with locked(SweepFolder(tmp_path).lock):
         journal.begin(1)

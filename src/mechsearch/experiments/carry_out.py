@@ -16,7 +16,7 @@ from mechsearch.experiments.plan import SweepPlan, open_plan
 from mechsearch.experiments.schedule import Chain, chains_of, next_wave
 from mechsearch.experiments.status import SweepStatus, inspected, status
 from mechsearch.experiments.sweep import run_all
-from mechsearch.experiments.trials import Grasp, Scoring
+from mechsearch.experiments.trials import Grasp, Scoring, finished_runs
 from mechsearch.parallel import Mapper, map_in_order
 from mechsearch.runs import locked
 from mechsearch.types import MechSearchError
@@ -94,7 +94,7 @@ def carry_out(
                 )
             open_plan(plan, folder)
             chains = chains_of(plan, folder, grasp)
-            return _carry_out_all(chains, folder, workers, mapper, tell)
+            return _carry_out_all(plan, chains, folder, workers, mapper, tell)
     except OSError as error:
         raise MechSearchError(
             f"the sweep in {path} has stopped: {error}; what is finished is whole, and the same "
@@ -103,7 +103,12 @@ def carry_out(
 
 
 def _carry_out_all(
-    chains: Sequence[Chain], folder: SweepFolder, workers: int, mapper: Mapper, tell: Tell
+    plan: SweepPlan,
+    chains: Sequence[Chain],
+    folder: SweepFolder,
+    workers: int,
+    mapper: Mapper,
+    tell: Tell,
 ) -> SweepStatus:
     jobs = [job for chain in chains for job in chain]
     journal = Journal(folder.journal)
@@ -122,13 +127,13 @@ def _carry_out_all(
                 if reason and stuck:
                     journal.write(FAILED, job=stuck[0], reason=reason)
     done, wrong = inspected(jobs)
-    _gather(jobs, done, folder)
+    _gather(plan, jobs, done, folder)
     past = Past.of(journal.records())
     past.running.clear()
     return status(jobs, done, wrong, past)
 
 
-def _gather(jobs: Sequence[Job], done: set[str], folder: SweepFolder) -> None:
+def _gather(plan: SweepPlan, jobs: Sequence[Job], done: set[str], folder: SweepFolder) -> None:
     """Enter what a kill between recording and entering may have left out of the tables."""
     for job in jobs:
         if isinstance(job, Scoring) and job.name in done:
@@ -136,7 +141,7 @@ def _gather(jobs: Sequence[Job], done: set[str], folder: SweepFolder) -> None:
             if evaluation is not None:
                 rows = summary.rows_of(job.plan.experiment, evaluation)
                 summary.merge(folder.summary, rows)
-    write_curves(folder)
+    write_curves(folder.curves, finished_runs(plan, folder))
 
 
 @contextmanager

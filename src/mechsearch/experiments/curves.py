@@ -1,11 +1,10 @@
 """The learning curves of all finished runs as one table."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mechsearch.evaluation.metrics import METRICS
-from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
 from mechsearch.runs import locked, read_lines, write_whole
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import load_config
@@ -18,11 +17,15 @@ COLUMNS = (
 Row = tuple[str, str, int, int, str, float, float, float, int]
 
 
-def write_curves(folder: SweepFolder) -> None:
-    """Write the table anew, from the runs that are over; several processes may do so at once."""
-    with locked(folder.curves):
-        finished = folder.path.glob(f"*/runs/*/{FINISHED_FILE}")
-        rows = sorted(row for file in finished for row in curve(file.parent))
+def write_curves(path: Path, runs: Iterable[Path]) -> None:
+    """Write the table anew; several processes may do so at once.
+
+    Args:
+        path: The table (.csv).
+        runs: Directories of the runs that are over; asked for once nobody else is at the table.
+    """
+    with locked(path):
+        rows = sorted(row for run in runs for row in curve(run))
 
         def write(partial: Path) -> None:
             with partial.open("w", newline="", encoding="utf-8") as file:
@@ -33,7 +36,7 @@ def write_curves(folder: SweepFolder) -> None:
                     for row in rows
                 )
 
-        write_whole(folder.curves, write)
+        write_whole(path, write)
 
 
 def curve(run: Path) -> Iterator[Row]:

@@ -121,8 +121,8 @@ class SweepPlan:
 QUICK = SweepPlan(
     experiment="quick",
     objects="household",
-    generate_single=90,
-    generate_dual=90,
+    generate_single=60,
+    generate_dual=60,
     variants=("method", "ddpg", "plus"),
     seeds=(0, 1),
     actions=600,

@@ -1,8 +1,10 @@
 """Training runs and final evaluations."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,9 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.policies import LOOK_AHEAD
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
 from mechsearch.experiments.curves import write_curves
-from mechsearch.experiments.folder import FINISHED_FILE
+from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
 from mechsearch.experiments.job import Job
+from mechsearch.experiments.plan import SweepPlan
 from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
 from mechsearch.runs import read_json, write_json
 from mechsearch.train.checkpoint import CONFIG_FILE
@@ -129,7 +132,16 @@ class Training(Job):
             "training_actions": load_actor(self.directory).training_actions,
         }
         write_json(self.directory / FINISHED_FILE, done)
-        write_curves(self.folder)
+        write_curves(self.folder.curves, finished_runs(self.plan, self.folder))
+
+
+def finished_runs(plan: SweepPlan, folder: SweepFolder) -> Iterator[Path]:
+    """Yield the directories of the runs of a plan that are over, and no foreign ones."""
+    for condition, variant, seed in product(plan.conditions, plan.variants, plan.seeds):
+        run = Training(plan, folder, condition, variant, seed)
+        with suppress(MechSearchError):
+            if run.is_done():
+                yield run.directory
 
 
 @dataclass(frozen=True)
