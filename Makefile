@@ -6,7 +6,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check unit test-all bench bench-full lock clean
+.PHONY: demo test check unit test-all bench bench-full soak lock clean
 
 demo: $(READY)
 	$(BIN)/mechsearch demo --out demo
@@ -14,8 +14,8 @@ demo: $(READY)
 test: check unit
 
 check: $(READY)
-	$(BIN)/ruff format --check src tests examples benchmarks
-	$(BIN)/ruff check src tests examples benchmarks
+	$(BIN)/ruff format --check src tests examples benchmarks soak
+	$(BIN)/ruff check src tests examples benchmarks soak
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
@@ -34,6 +34,10 @@ test-all:
 # About ten minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
 bench: $(VENV)/.bench-ready
 	$(BIN)/python -m benchmarks
+
+# Half an hour on two cores: many actions, and processes killed at random times.
+soak: $(READY)
+	$(BIN)/python -m soak
 
 bench-full: $(VENV)/.bench-ready
 	$(BIN)/python -m benchmarks --full

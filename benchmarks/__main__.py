@@ -32,6 +32,7 @@ MEASUREMENTS = {
     "frames": "frames:measure",
     "generation": "generation:measure",
     "updates": "updates:measure",
+    "grasping": "grasping:measure",
     "scaling": "scaling:measure",
     "decisions": "decisions:measure",
     "trust": "trust:measure",
@@ -40,7 +41,7 @@ MEASUREMENTS = {
 }
 ORDER = (
     "action-5", "action-10", "action-15", "workers", "vector", "frames", "heaps-per-second",
-    "heaps-4200", "updates", "train", "physics", "frame-", "score",
+    "heaps-4200", "updates", "train", "grasp", "physics", "frame-", "score",
     "overlap", "objects", "side",
 )  # fmt: skip
 

@@ -164,4 +164,5 @@ def test_too_few_heaps_to_calibrate_are_named(
     calibrate = ["grasp", "calibrate", str(tmp_path / "idle.npz"), "--network", str(network)]
     calibrate += ["--workers", "1", "--grasps", "2", "--repeats", "1"]
     assert "try more heaps" in failure(calibrate, capsys)
+    assert "idle.npz has 1 episodes" in failure([*calibrate, "--limit", "2"], capsys)
     assert "expected at least one of each" in failure([*calibrate, "--repeats", "0"], capsys)

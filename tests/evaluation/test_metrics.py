@@ -52,8 +52,9 @@ def test_retrieval_is_scored_as_a_share_of_all_episodes(make_episode) -> None:
     tried = [GraspRecord(0.1, 0.2, 0.3, "", end) for end in ("success", "missed", "", "success")]
     episodes = [make_episode(i, grasp=grasp) for i, grasp in enumerate(tried)]
     assert score(episodes)["retrieval_after"] == share_interval([1, 0, 0, 1])
-    gain = paired_difference(episodes, [make_episode(i, grasp=tried[1]) for i in range(4)],
-                             "retrieval_after")
+    gain = paired_difference(
+        episodes, [make_episode(i, grasp=tried[1]) for i in range(4)], "retrieval_after"
+    )
     assert gain.mean == 0.5
     assert -1 <= gain.ci_low < 0.5 < gain.ci_high <= 1
 

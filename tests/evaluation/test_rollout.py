@@ -2,6 +2,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
 from mechsearch.heaps import dataset
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.types import MechSearchError
 
 NAMES = ("sponge", "golf_ball", "apple")
@@ -127,7 +129,8 @@ def test_after_a_failed_simulation_the_last_trusted_state_is_recorded(
         return "NaN" if len(calls) == 3 else None
 
     monkeypatch.setattr("mechsearch.sim.world.World.failure", failure)
-    record = run(IdlePolicy(), env, [0])[0]
+    simulated = replace(env.config, physics=PhysicsConfig(clearance=np.inf))
+    record = run(IdlePolicy(), HeapEnv(env.heaps, env.objects, simulated), [0])[0]
     assert record.end == "failure: NaN"
     assert len(record.actions) == 3
     np.testing.assert_array_equal(record.poses[3], record.poses[2])

@@ -86,7 +86,7 @@ def test_what_cannot_be_labelled_is_refused(heap_set, tmp_path):
         with pytest.raises(MechSearchError, match=r"expected|choose"):
             LabelConfig(**wrong)
     empty = HeapSet(tuple(heap_set.train), heap_set.manifest, heap_set.hash)
-    with pytest.raises(MechSearchError, match="no held-out heaps"):
+    with pytest.raises(MechSearchError, match="has 0 held-out heaps"):
         label(empty, "household", LabelConfig(split="held-out"), tmp_path)
 
 

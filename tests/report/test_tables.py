@@ -32,6 +32,15 @@ def test_every_policy_and_metric_is_in_the_table(evaluations) -> None:
     assert all(len(row) == len(table.columns) for row in table.rows)
 
 
+def test_retrieval_has_columns_where_it_was_measured(evaluations) -> None:
+    scores = tables.scores_of(evaluations)
+    first = next(iter(scores))
+    scores[first] = {**scores[first], "retrieval_after": Estimate(0.25, 0.1, 0.4, 40)}
+    table = tables.score_table(scores)
+    column = table.columns.index("retrieved at the end [%]")
+    assert [row[column] for row in table.rows] == ["25\n10 to 40"] + [""] * (len(scores) - 1)
+
+
 def test_object_counts_and_reward_terms_have_columns(evaluations) -> None:
     by_count = tables.count_table(evaluations, "reward")
     assert by_count.columns == ("policy", "5 objects", "10 objects", "15 objects")

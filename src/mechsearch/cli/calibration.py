@@ -30,6 +30,7 @@ class Calibrate(Command):
             take instead of the shipped one.
         out: File (.json) to write.
         plot: Reliability diagram (.svg) to write.
+        limit: Number of episodes of each file, spread evenly; 0 takes all.
         grasps: Best grasps to try on each state, and as many at random.
         repeats: Perturbed executions of each grasp.
         objects: Object set; the one that the files name by default.
@@ -42,6 +43,7 @@ class Calibrate(Command):
     network: Path | None = None
     out: Path | None = None
     plot: Path | None = None
+    limit: int = 0
     grasps: int = 10
     repeats: int = 5
     objects: str = ""
@@ -64,7 +66,10 @@ class Calibrate(Command):
         found = calibrate(trials)
         say(_described(found, len(trials)))
         if self.out:
-            write_json(self.out, {**asdict(found), "curve": found.curve.tolist(), "rated": found.rated.tolist()})
+            write_json(
+                self.out,
+                {**asdict(found), "curve": found.curve.tolist(), "rated": found.rated.tolist()},
+            )
             wrote(self.out)
         if self.plot:
             curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
@@ -75,12 +80,18 @@ class Calibrate(Command):
         evaluation = episodes.load(path)
         models_of(evaluation, self.objects)
         spec = self.objects or str(evaluation.header["object_set"])
+        network = self.network or SHIPPED
+        count = len(evaluation.episodes)
+        if not 0 <= self.limit <= count:
+            raise MechSearchError(f"limit is {self.limit}; {path} has {count} episodes")
+        number = self.limit or count
+        chosen = [evaluation.episodes[i * count // number] for i in range(number)]
         return [
             TrialTask(
-                self.network or SHIPPED, spec, record.objects, record.target, poses, record.heap_seed,
+                network, spec, record.objects, record.target, poses, record.heap_seed,
                 self.grasps, self.repeats,
             )
-            for record in evaluation.episodes
+            for record in chosen
             for poses in (record.poses[0], record.poses[-1])
         ]  # fmt: skip
 

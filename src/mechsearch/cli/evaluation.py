@@ -2,10 +2,10 @@
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -83,16 +83,14 @@ class Evaluate(Command):
             )
         for policy in self.policies:
             make_policy(policy)
-        measure_grasps = self._grasping()
+        grasping = self._grasping()
         evaluations = []
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             for policy in self.policies:
                 evaluation = record(self._plan(policy), self.out, workers, mapper)
-                if measure_grasps:
+                if grasping:
                     with bars() as progress:
-                        evaluation = measure_grasps(
-                            evaluation, self.grasp_network, self.objects, workers, progress
-                        )
+                        evaluation = grasping.measured(evaluation, progress)
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
@@ -112,15 +110,15 @@ class Evaluate(Command):
             camera=self.camera,
         )
 
-    def _grasping(self) -> Callable[..., Evaluation] | None:
+    def _grasping(self) -> Any:
         """Return what measures grasps, if asked for; a network that is no good is refused first."""
         if not (self.grasps or self.grasp_network):
             return None
         if importlib.util.find_spec("torch") is None:
             raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
         importlib.import_module("mechsearch.grasp.network").load_network(self.grasp_network)
-        measured: Callable[..., Evaluation] = importlib.import_module(_GRASPING).measured
-        return measured
+        kind = importlib.import_module(_GRASPING).Grasping
+        return kind(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)

@@ -6,37 +6,61 @@ from pathlib import Path
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import Evaluation, GraspRecord
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
 from mechsearch.evaluation.metrics import score
-from mechsearch.grasp.change import Change, ChangeTask, measure_all
 from mechsearch.grasp.network import SHIPPED
+from mechsearch.grasp.standing import Standing, StandingTask, measure_all
 from mechsearch.parallel import Progress
 from mechsearch.report.tables import Table, cell
 
 
-def measured(
-    evaluation: Evaluation, network: Path | None, objects: str, workers: int, progress: Progress
-) -> Evaluation:
-    """Return an evaluation with the graspability and retrieval of every episode's target.
+class Grasping:
+    """Measures the targets of evaluations; what they have in common is measured once."""
 
-    Args:
-        evaluation: The episodes.
-        network: File of the grasp network; None takes the shipped one.
-        objects: Object set; empty takes the one that the evaluation names.
-        workers: Processes; the results do not depend on their number.
-        progress: Told after each episode.
-    """
-    network = network or SHIPPED
-    spec = objects or str(evaluation.header["object_set"])
-    tasks = [
-        ChangeTask(network, spec, r.objects, r.target, r.poses[0], r.poses[-1])
-        for r in evaluation.episodes
-    ]
-    episodes = []
-    for change in measure_all(tasks, workers):
-        episodes.append(replace(evaluation.episodes[len(episodes)], grasp=_record(change)))
-        progress("grasped", len(episodes), len(tasks))
-    return Evaluation({**evaluation.header, "grasp_network": network.name}, tuple(episodes))
+    def __init__(self, network: Path | None, objects: str, workers: int) -> None:
+        """Choose how to measure.
+
+        Args:
+            network: File of the grasp network; None takes the shipped one.
+            objects: Object set; empty takes the one that an evaluation names.
+            workers: Processes; the results do not depend on their number.
+        """
+        self._network = network or SHIPPED
+        self._objects, self._workers = objects, workers
+        self._first: dict[bytes, Standing] = {}
+
+    def measured(self, evaluation: Evaluation, progress: Progress) -> Evaluation:
+        """Return an evaluation with graspability and retrieval of every episode's target."""
+        spec = self._objects or str(evaluation.header["object_set"])
+        records = evaluation.episodes
+        # All policies start from the same heaps, and an idle one ends there too.
+        new = {_key(r): r for r in records if _key(r) not in self._first}
+        still = [np.array_equal(r.poses[-1], r.poses[0]) for r in records]
+        tasks = [self._task(record, spec, 0) for record in new.values()]
+        tasks += [
+            self._task(record, spec, -1)
+            for record, same in zip(records, still, strict=True)
+            if not same
+        ]
+        found = []
+        for standing in measure_all(tasks, self._workers):
+            found.append(standing)
+            progress("grasped", len(found), len(tasks))
+        self._first |= dict(zip(new, found, strict=False))
+        last = iter(found[len(new) :])
+        episodes = []
+        for record, same in zip(records, still, strict=True):
+            first = self._first[_key(record)]
+            episodes.append(replace(record, grasp=_record(first, first if same else next(last))))
+        return Evaluation(
+            {**evaluation.header, "grasp_network": self._network.name}, tuple(episodes)
+        )
+
+    def _task(self, record: EpisodeRecord, spec: str, state: int) -> StandingTask:
+        first = state == 0
+        return StandingTask(
+            self._network, spec, record.objects, record.target, record.poses[state], first, first
+        )
 
 
 def table(evaluations: Mapping[str, Evaluation]) -> Table:
@@ -49,13 +73,18 @@ def table(evaluations: Mapping[str, Evaluation]) -> Table:
     return Table("Graspability and retrieval of the target", columns, rows)
 
 
-def _record(change: Change) -> GraspRecord:
+def _key(record: EpisodeRecord) -> bytes:
+    return b"".join((repr((record.objects, record.target)).encode(), record.poses[0].tobytes()))
+
+
+def _record(first: Standing, last: Standing) -> GraspRecord:
+    alone = first.now if first.alone is None else first.alone
     return GraspRecord(
-        change.before.score,
-        change.after.score,
-        change.alone.score,
-        str(change.retrieved_before or ""),
-        str(change.retrieved_after or ""),
+        first.now.score,
+        last.now.score,
+        alone.score,
+        str(first.retrieved or ""),
+        str(last.retrieved or ""),
     )
 
 

@@ -2,11 +2,12 @@
 
 import sys
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from mechsearch.cli.command import WORKERS, Command, say, spread, wrote
-from mechsearch.cli.graspability import measured
+from mechsearch.cli.graspability import Grasping
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
@@ -108,7 +109,13 @@ class Sweep(Command):
 
 def grasped(evaluation: Evaluation) -> Evaluation:
     """Return an evaluation with graspability and retrieval by the shipped network."""
-    return measured(evaluation, None, "", 1, silent)
+    return _grasping().measured(evaluation, silent)
+
+
+@cache
+def _grasping() -> Grasping:
+    """Return what measures grasps; each process keeps what its evaluations have in common."""
+    return Grasping(None, "", workers=1)
 
 
 class _Teller:

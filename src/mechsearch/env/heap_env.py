@@ -13,7 +13,7 @@ from mechsearch.env.reward import NO_REWARD, RewardConfig, RewardTerms, terms
 from mechsearch.geometry import cap_length
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectSet
-from mechsearch.observe.observation import Observer, Scene
+from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.render.visibility import occlusion
 from mechsearch.sim.pusher import Pusher, pusher_model
@@ -212,16 +212,17 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         before, poses, present = self._occlusion, self._poses, self._present
         simulated = self._world.push(target)
         self._actions += 1
-        failure = self._world.failure()
-        if failure is not None:
-            return self._end_of_failure(failure)
+        moved = np.zeros(len(poses))
         if simulated:
+            failure = self._world.failure()
+            if failure is not None:
+                return self._end_of_failure(failure)
             self._update_poses()
-        way = self._poses[:, :3] - poses[:, :3]
-        moved = np.sqrt((way * way).sum(axis=1)) * present
-        clutter = moved[np.arange(len(moved)) != self.heap.target]
-        if simulated and not np.array_equal(self._poses, poses):
-            self._occlusion = self._measure_occlusion()
+            way = self._poses[:, :3] - poses[:, :3]
+            moved = np.sqrt((way * way).sum(axis=1)) * present
+            if not np.array_equal(self._poses, poses):
+                self._occlusion = self._measure_occlusion()
+        clutter = moved[others(self.heap.target, len(moved))]
         reward = terms(
             before, self._occlusion, clutter, float(moved[self.heap.target]),
             bool(np.abs(command - target).max() > 1e-9), self.config.reward,
@@ -304,26 +305,29 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         if not self._present.all():
             poses[~self._present] = self._poses[~self._present]
         gone = self._present & self.config.workspace.off_table(poses)
-        for index in np.flatnonzero(gone):
-            self._world.remove(int(index))
-        self._present = self._present & ~gone
+        if gone.any():
+            for index in np.flatnonzero(gone):
+                self._world.remove(int(index))
+            self._present = self._present & ~gone
         self._poses = poses
 
     def _measure_occlusion(self) -> float:
         if not self._present[self.heap.target]:
             return 1.0
-        if self._present.all():
-            return occlusion(self._renderer.bodies, self._camera, self._poses, self.heap.target)
-        target = int(self._present[: self.heap.target].sum())
-        bodies = [
-            body for body, here in zip(self._renderer.bodies, self._present, strict=True) if here
-        ]
-        return occlusion(bodies, self._camera, self._poses[self._present], target)
+        projection = self._renderer.projection(self._camera)
+        # The frame that follows shows the pusher too: placing both at once is cheaper.
+        projection.place(np.concatenate([self._poses, self._pusher_pose()[None]]))
+        return occlusion(
+            self._renderer.bodies, self._camera, self._poses, self.heap.target,
+            present=self._present, projection=projection,
+        )  # fmt: skip
+
+    def _pusher_pose(self) -> Floats:
+        return self.config.pusher.pose(self._world.pusher_position)
 
     def _frame(self, size: int, colour: bool) -> Frame:
-        pusher = self.config.pusher.pose(self._world.pusher_position)
         camera = preset(self.config.camera, size)
-        return self._renderer.frame(camera, self._poses, pusher, colour)
+        return self._renderer.frame(camera, self._poses, self._pusher_pose(), colour)
 
     def _observe(self) -> dict[str, Array]:
         frame = (

@@ -15,9 +15,11 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
+from mechsearch.fingerprint import fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
+from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError, Observation, Policy, select
 from mechsearch.workers import Failure
 
@@ -277,8 +279,9 @@ def _header(
         },
         "split": plan.split,
         "env": asdict(env.config),
-        "engine": heap_set.manifest["engine"],
+        "engine": ENGINE_VERSION,
         "version": version("mechsearch"),
+        "fingerprint": fingerprint(),
     }
     # As it will be read back: lists for tuples.
     plain: dict[str, Any] = json.loads(json.dumps(header))

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from scipy import optimize, stats
 
-from mechsearch.grasp.change import at_rest, shared_network
 from mechsearch.grasp.metrics import reliability
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.grasp.policy import rate
 from mechsearch.grasp.quality import BEST
 from mechsearch.grasp.retrieval import LiftTask, lift_grasps, on_table
+from mechsearch.grasp.standing import at_rest, shared_network
 from mechsearch.grasp.view import view_of_heap
 from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel

@@ -92,7 +92,8 @@ def label(
     heaps = heap_set.train if config.split == "train" else heap_set.held_out
     if not heaps or config.limit > len(heaps):
         raise MechSearchError(
-            f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} heaps"
+            f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} "
+            "heaps"
         )
     number = config.limit or len(heaps)
     heaps = [heaps[i * len(heaps) // number] for i in range(number)]

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.observe.position_image import position_image
@@ -118,12 +120,20 @@ class Observer:
         return np.asarray(scene.positions[scene.target] - scene.ee_position, np.float32)
 
     def _clutter_offsets(self, scene: Scene) -> Array:
+        rest = others(scene.target, len(scene.positions))
         offsets = np.zeros((self._max_clutter, 3), np.float32)
-        others = np.delete(scene.positions, scene.target, axis=0) - scene.ee_position
-        offsets[: len(others)] = others * np.delete(scene.present, scene.target)[:, None]
+        away = scene.positions[rest] - scene.ee_position
+        offsets[: len(rest)] = away * scene.present[rest, None]
         return offsets
 
     def _clutter_mask(self, scene: Scene) -> Array:
         mask = np.zeros(self._max_clutter, np.int8)
-        mask[: len(scene.positions) - 1] = np.delete(scene.present, scene.target)
+        rest = others(scene.target, len(scene.positions))
+        mask[: len(rest)] = scene.present[rest]
         return mask
+
+
+@lru_cache(maxsize=1024)
+def others(target: int, count: int) -> NDArray[np.intp]:
+    """Return the indices of all `count` objects but the target (count - 1,)."""
+    return np.delete(np.arange(count), target)

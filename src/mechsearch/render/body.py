@@ -95,6 +95,7 @@ def _moved_into(
     start: Array, directions: Array, rotation: NDArray[np.float32]
 ) -> tuple[Array, Array]:
     local = directions @ rotation
-    starts = np.empty_like(local)
-    starts[:] = start
-    return starts, local
+    # All rays share the memory of one start.
+    return np.ndarray(
+        local.shape, np.float32, np.ascontiguousarray(start, np.float32), 0, (0, 4)
+    ), local

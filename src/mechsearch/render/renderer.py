@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.body import NO_HIT, body_of
-from mechsearch.render.view import View, corners_of
+from mechsearch.render.view import Block, Projection, View, overlaps
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -66,6 +66,7 @@ class _Seen:
 
     Attributes:
         view: The camera's rays.
+        projection: Of all bodies, shared with other resolutions of the camera.
         rays: Of the whole frame (H, W, 3).
         empty: Depth (H, W) of table and floor.
         colour: Likewise (H, W, 3).
@@ -75,6 +76,7 @@ class _Seen:
     """
 
     view: View
+    projection: Projection
     rays: NDArray[np.float32]
     empty: NDArray[np.float32]
     colour: NDArray[np.uint8]
@@ -104,10 +106,10 @@ class Renderer:
         self.bodies = [body_of(model) for model in models]
         self._pusher = body_of(pusher) if pusher is not None else None
         self._all = (*self.bodies, self._pusher) if self._pusher else (*self.bodies,)
-        self._corners = corners_of(self._all)
         self._table_half = table_half
         self._floor = floor
         self._seen: dict[Camera, _Seen] = {}
+        self._projections: dict[bytes, Projection] = {}
 
     def frame(
         self, camera: Camera, poses: Array, pusher: Array | None = None, colour: bool = False
@@ -133,16 +135,26 @@ class Renderer:
         depth, ids = heap.depth.copy(), heap.ids.copy()
         if shown is not None:
             _compose(depth, ids, shown, PUSHER)
-        rgb = self._colours(seen, states, pusher, ids) if colour else None
+        rgb = self._colours(seen, ids) if colour else None
         depth[depth > NO_HIT] = 0.0
         return Frame(depth, ids, rgb, heap.patches)
+
+    def projection(self, camera: Camera) -> Projection:
+        """Return how the objects, and after them the pusher, last lay to a camera.
+
+        Views of the same camera at other resolutions share it.
+        """
+        key = camera.pose.tobytes()
+        if key not in self._projections:
+            self._projections[key] = Projection(camera, self._all)
+        return self._projections[key]
 
     def _looking(self, camera: Camera) -> _Seen:
         if camera not in self._seen:
             view = View(camera)
-            rays = view.rays(view.frame)
-            depth, colour = self._background(view.origin, rays.astype(np.float64))
-            self._seen[camera] = _Seen(view, rays, depth, colour)
+            rays = view.all_rays
+            depth, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
+            self._seen[camera] = _Seen(view, self.projection(camera), rays, depth, colour)
         return self._seen[camera]
 
     def _heap(
@@ -152,40 +164,43 @@ class Renderer:
 
         Nothing is cast for objects that lie as before.
         """
-        moved = np.ones(len(states), np.bool_)
-        if seen.frame is not None:
-            moved = (states != seen.poses).any(axis=1)
-        which = moved.nonzero()[0].tolist()
-        cast, poses = list(which), states[moved]
+        count = len(states)
         if self._pusher is not None and pusher is not None:
-            cast.append(len(self.bodies))
-            poses = np.concatenate([poses, np.asarray(pusher, np.float64)[None]])
-        patches = self._cast(seen, cast, poses)
-        shown = patches.pop() if len(cast) > len(which) else None
+            seen.projection.place(np.concatenate([states, np.asarray(pusher, np.float64)[None]]))
+        else:
+            seen.projection.place(states)
+        if seen.frame is None:
+            which = list(range(count))
+        else:
+            which = (states != seen.poses).any(axis=1).nonzero()[0].tolist()
         if seen.frame is None or which:
-            kept = seen.patches or [_nothing(seen)] * len(states)
-            for i, patch in zip(which, patches, strict=True):
-                kept[i] = patch
-            seen.patches, seen.poses = kept, states.copy()
+            blocks = self._blocks(seen, slice(count))
+            patches = list(seen.patches) or [_nothing(seen)] * count
+            for i in which:
+                patches[i] = self._cast(seen, i, blocks[i])
+            seen.patches, seen.poses = patches, states.copy()
             seen.frame = self._composed(seen)
-        return seen.frame, shown
+        if self._pusher is None or pusher is None:
+            return seen.frame, None
+        (block,) = self._blocks(seen, slice(count, count + 1))
+        return seen.frame, self._cast(seen, count, block)
 
-    def _cast(self, seen: _Seen, which: list[int], poses: Floats) -> list[Patch]:
-        """Return what some bodies, the pusher being the last, show in the frame."""
-        shown = seen.view.appearances(self._corners[which], poses)
-        patches = []
-        for i, index in enumerate(which):
-            block = shown.blocks[i].within(seen.view.frame)
-            if block.empty:
-                patches.append(_nothing(seen))
-                continue
-            where = block.of
-            rays = seen.rays[where]
-            depth = self._all[index].depths(
-                shown.starts[i], rays.reshape(-1, 3), shown.rotations[i]
-            )
-            patches.append(Patch(where, depth.reshape(rays.shape[:2])))
-        return patches
+    def _blocks(self, seen: _Seen, bodies: slice) -> list[Block]:
+        """Return where in the frame some bodies may appear."""
+        whole = [0, seen.view.height, 0, seen.view.width]
+        blocks: list[Block] = overlaps(seen.view.blocks(seen.projection, bodies), whole).tolist()
+        return blocks
+
+    def _cast(self, seen: _Seen, index: int, block: Block) -> Patch:
+        """Return what a body, the pusher being the last, shows in a block of the frame."""
+        top, bottom, left, right = block
+        if top >= bottom or left >= right:
+            return _nothing(seen)
+        rays = seen.rays[top:bottom, left:right]
+        start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
+        depth = self._all[index].depths(start, rays.reshape(-1, 3), rotation)
+        where = slice(top, bottom), slice(left, right)
+        return Patch(where, depth.reshape(bottom - top, right - left))
 
     def _composed(self, seen: _Seen) -> Frame:
         depth = seen.empty.copy()
@@ -194,18 +209,14 @@ class Renderer:
             _compose(depth, ids, patch, i)
         return Frame(depth, ids, None, tuple(seen.patches))
 
-    def _colours(
-        self, seen: _Seen, states: Floats, pusher: Array | None, ids: NDArray[np.int16]
-    ) -> NDArray[np.uint8]:
+    def _colours(self, seen: _Seen, ids: NDArray[np.int16]) -> NDArray[np.uint8]:
         rgb = seen.colour.copy()
         for identity in np.unique(ids[ids != BACKGROUND]).tolist():
-            body = self._pusher if identity == PUSHER else self.bodies[identity]
-            pose = np.asarray(pusher if identity == PUSHER else states[identity], np.float64)
-            assert body is not None
-            shown = seen.view.appearances(body.corners[None], pose[None])
+            index = len(self.bodies) if identity == PUSHER else identity
+            start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
             pixels = ids == identity
-            hits = body.cast(shown.starts[0], seen.rays[pixels], shown.rotations[0])
-            rgb[pixels] = body.colours(hits, shown.rotations[0])
+            hits = self._all[index].cast(start, seen.rays[pixels], rotation)
+            rgb[pixels] = self._all[index].colours(hits, rotation)
         return rgb
 
     def _background(
@@ -236,6 +247,5 @@ def _compose(
 ) -> None:
     """Draw a patch where it is nearer than what is there."""
     part = depth[patch.where]
-    nearer = patch.depth < part
-    np.copyto(part, patch.depth, where=nearer)
-    np.copyto(ids[patch.where], identity, where=nearer)
+    np.copyto(ids[patch.where], identity, where=patch.depth < part)
+    np.minimum(part, patch.depth, out=part)

@@ -1,8 +1,7 @@
 """A camera's rays, and where objects may appear in its image."""
 
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import NamedTuple
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,54 +11,66 @@ from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.render.body import Body
 from mechsearch.types import Floats
 
+_ENDS, _BEYOND = np.array([1.0, -1.0, 1.0, -1.0]), np.array([0.0, 1.0, 0.0, 1.0])
+
 _NEAREST = 0.01
 """Objects that come nearer to the camera's plane [m] may appear anywhere."""
 
 
-class Block(NamedTuple):
-    """A rectangle of pixels, which may reach beyond the frame; empty where an end is not after."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
-
-    @property
-    def empty(self) -> bool:
-        """Whether it holds no pixel."""
-        return self.top >= self.bottom or self.left >= self.right
-
-    @property
-    def of(self) -> tuple[slice, slice]:
-        """Rows and columns, to index an image (H, W) with."""
-        top, bottom, left, right = self
-        return slice(top, bottom), slice(left, right)
-
-    def within(self, other: "Block") -> "Block":
-        """Return the overlap with another block, counted from that one's corner."""
-        top, bottom, left, right = self
-        first, last, start, end = other
-        return Block(
-            (top if top > first else first) - first,
-            (bottom if bottom < last else last) - first,
-            (left if left > start else start) - start,
-            (right if right < end else end) - start,
-        )
+Block = list[int]
+"""A rectangle of pixels: top, bottom, left and right, the second and last beyond it. It may reach
+beyond the frame, and is empty where an end is not after its beginning."""
 
 
-@dataclass(frozen=True)
-class Appearances:
-    """What casting rays against N bodies needs.
+class Projection:
+    """How bodies lie to a camera, whatever its resolution; only what moved is computed anew.
 
     Attributes:
-        blocks: Where each may appear, beyond the frame too.
         starts: The camera in each body's frame (N, 3) [m].
         rotations: Of the bodies (N, 3, 3).
+        bounds: Where each appears (N, 4): the least y / z in the camera's frame and the greatest,
+            negated, then the same of x / z.
+        near: Which come too near to the camera's plane to tell (N,).
     """
 
-    blocks: list[Block]
-    starts: NDArray[np.float32]
-    rotations: NDArray[np.float32]
+    def __init__(self, camera: Camera, bodies: Sequence[Body]) -> None:
+        """Take a camera's pose; no body has been placed yet."""
+        self._origin: Floats = camera.pose[:3, 3]
+        self._axes = camera.pose[:3, :3]
+        self._corners = corners_of(tuple(bodies))
+        count = len(self._corners)
+        self._poses = np.full((count, 7), np.nan)
+        self._turned = np.zeros((count, 3, 3))
+        self._arms = np.zeros((count, 8, 3))
+        self.starts: NDArray[np.float32] = np.zeros((count, 3), np.float32)
+        self.rotations: NDArray[np.float32] = np.zeros((count, 3, 3), np.float32)
+        self.bounds = np.zeros((count, 4))
+        self.near = np.zeros(count, np.bool_)
+
+    def place(self, poses: Floats) -> None:
+        """Place the first bodies at poses (n, 7); those that lie as before cost nothing."""
+        changed = poses != self._poses[: len(poses)]
+        which = changed.any(axis=1).nonzero()[0]
+        if not len(which):
+            return
+        turned = changed[:, 3:].any(axis=1).nonzero()[0]
+        if len(turned):
+            self._turn(turned, poses[turned, 3:])
+        self._poses[which] = poses = poses[which]
+        offsets = self._origin - poses[:, :3]
+        self.starts[which] = (offsets[:, None] @ self._turned[which])[:, 0]
+        local = self._arms[which] - (offsets @ self._axes)[:, None]
+        z = local[..., 2:]
+        slopes = local[..., 1::-1] / np.maximum(z, _NEAREST)
+        self.bounds[which, ::2] = slopes.min(axis=1)
+        self.bounds[which, 1::2] = -slopes.max(axis=1)
+        self.near[which] = z.min(axis=(1, 2)) < _NEAREST
+
+    def _turn(self, which: NDArray[np.intp], quaternions: Floats) -> None:
+        """Turn bodies: their corners then point elsewhere along the camera's axes."""
+        rotations = rotation_from_quaternion(quaternions)
+        self._turned[which] = self.rotations[which] = rotations
+        self._arms[which] = self._corners[which] @ (rotations.transpose(0, 2, 1) @ self._axes)
 
 
 @lru_cache(maxsize=64)
@@ -68,53 +79,51 @@ def corners_of(bodies: tuple[Body, ...]) -> Floats:
     return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
 
 
+def overlaps(blocks: NDArray[np.intp], block: Block) -> NDArray[np.intp]:
+    """Return the parts (n, 4) of some blocks that lie in another, counted from its corner."""
+    top, bottom, left, right = block
+    corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
+    inside: NDArray[np.intp] = np.clip(blocks - corner, 0, size)
+    return inside
+
+
 class View:
     """Rays of a camera through the centres of its pixels."""
 
     def __init__(self, camera: Camera) -> None:
         """Take a camera's pose and intrinsics."""
         self.camera = camera
-        self.frame = Block(0, camera.height, 0, camera.width)
-        self.origin: Floats = camera.pose[:3, 3]
-        self._axes = camera.pose[:3, :3]
-        self._last: tuple[Block, NDArray[np.float32]] | None = None
-        self._focal = np.array([camera.fy, camera.fx])
-        self._principal = np.array([camera.cy, camera.cx])
+        self.height, self.width = camera.height, camera.width
+        self._focal = np.repeat([camera.fy, camera.fx], 2)
+        self._principal = np.array([camera.cy, -camera.cy, camera.cx, -camera.cx])
+
+    @cached_property
+    def all_rays(self) -> NDArray[np.float32]:
+        """Directions (H, W, 3) of the frame's rays, as long as 1 m of depth; only to be read."""
+        return self._directions([0, self.height, 0, self.width])
 
     def rays(self, block: Block) -> NDArray[np.float32]:
-        """Return the directions (h, w, 3) of a block's rays, as long as 1 m of depth.
+        """Return the directions (h, w, 3) of a block's rays; only to be read."""
+        top, bottom, left, right = block
+        if top >= 0 and bottom <= self.height and left >= 0 and right <= self.width:
+            return self.all_rays[top:bottom, left:right]
+        return self._directions(block)
 
-        Those of the last block are kept: not to be written into.
-        """
-        # Read once: views are shared, and another thread may look elsewhere meanwhile.
-        last = self._last
-        if last is not None and last[0] == block:
-            return last[1]
+    def blocks(self, projection: Projection, bodies: slice) -> NDArray[np.intp]:
+        """Return where some bodies may appear (n, 4), beyond the frame too."""
+        ends = np.floor(projection.bounds[bodies] * self._focal + self._principal)
+        blocks: NDArray[np.intp] = (ends * _ENDS + _BEYOND).astype(np.intp)
+        near = projection.near[bodies]
+        if near.any():
+            blocks[near] = [0, self.height, 0, self.width]
+        return blocks
+
+    def _directions(self, block: Block) -> NDArray[np.float32]:
         camera = self.camera
-        u = (np.arange(block.left, block.right) - camera.cx) / camera.fx
-        v = (np.arange(block.top, block.bottom) - camera.cy) / camera.fy
-        across, down, forward = self._axes.T
+        top, bottom, left, right = block
+        u = (np.arange(left, right) - camera.cx) / camera.fx
+        v = (np.arange(top, bottom) - camera.cy) / camera.fy
+        across, down, forward = camera.pose[:3, :3].T
         rays = v[:, None, None] * down + (u[:, None] * across + forward)
         single: NDArray[np.float32] = rays.astype(np.float32)
-        self._last = block, single
         return single
-
-    def appearances(self, corners: Floats, poses: Floats) -> Appearances:
-        """Return where bodies at poses (N, 7) appear, by the corners (N, 8, 3) of their boxes."""
-        rotations = rotation_from_quaternion(poses[:, 3:])
-        offsets = self.origin - poses[:, :3]
-        starts = (offsets[:, None] @ rotations)[:, 0]
-        # (R c + p - o) A = (c - s) R' A, as the start s is R' (o - p).
-        local = (corners - starts[:, None]) @ (rotations.transpose(0, 2, 1) @ self._axes)
-        z = local[..., 2:]
-        near = z.min(initial=np.inf) < _NEAREST
-        depth = np.maximum(z, _NEAREST) if near else z
-        pixels = local[..., 1::-1] / depth * self._focal + self._principal
-        ends = np.concatenate([pixels.min(axis=1), -pixels.max(axis=1)], axis=1)
-        blocks = [
-            Block(top, 1 - bottom, left, 1 - right)
-            for top, left, bottom, right in np.floor(ends).astype(np.intp).tolist()
-        ]
-        for i in np.flatnonzero(z.min(axis=(1, 2)) < _NEAREST).tolist() if near else ():
-            blocks[i] = self.frame
-        return Appearances(blocks, starts.astype(np.float32), rotations.astype(np.float32))

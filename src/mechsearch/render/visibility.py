@@ -7,12 +7,18 @@ import numpy as np
 
 from mechsearch.camera import Camera
 from mechsearch.render.body import NO_HIT, Body
-from mechsearch.render.view import View, corners_of
+from mechsearch.render.view import Projection, View, overlaps
 from mechsearch.types import Array
 
 
 def occlusion(
-    bodies: Sequence[Body], camera: Camera, poses: Array, target: int, density: int = 4
+    bodies: Sequence[Body],
+    camera: Camera,
+    poses: Array,
+    target: int,
+    density: int = 4,
+    present: Array | None = None,
+    projection: Projection | None = None,
 ) -> float:
     """Return the occlusion of one object in [0, 1], seen by `camera` (paper, section IV-A).
 
@@ -26,28 +32,30 @@ def occlusion(
         poses: Of every object (N, 7).
         target: Index of the object in question.
         density: Rays for each pixel, along each axis.
+        present: Which objects are there to hide it (N,); all by default.
+        projection: Of these bodies, or more after them, to a camera there; made anew by default.
     """
     view = _dense(camera, density)
-    shown = view.appearances(corners_of(tuple(bodies)), np.asarray(poses, np.float64))
-    blocks = shown.blocks
-    rays = view.rays(blocks[target])
-
-    def cast(index: int, directions: Array) -> Array:
-        return bodies[index].depths(shown.starts[index], directions, shown.rotations[index])
-
-    depth = cast(target, rays.reshape(-1, 3)).reshape(rays.shape[:2])
+    if projection is None:
+        projection = Projection(camera, bodies)
+    projection.place(np.asarray(poses, np.float64))
+    blocks = view.blocks(projection, slice(len(bodies)))
+    starts, rotations = projection.starts, projection.rotations
+    rays = view.rays(blocks[target].tolist())
+    depth = bodies[target].depths(starts[target], rays.reshape(-1, 3), rotations[target])
+    depth = depth.reshape(rays.shape[:2])
     seen = depth < NO_HIT
     whole = int(seen.sum())
     if not whole:
         return 1.0
-    for i, block in enumerate(blocks):
-        common = block.within(blocks[target])
-        if i == target or common.empty:
+    for i, (top, bottom, left, right) in enumerate(overlaps(blocks, blocks[target]).tolist()):
+        if i == target or top >= bottom or left >= right or not (present is None or present[i]):
             continue
-        where = common.of
-        open_ = seen[where]
+        open_ = seen[top:bottom, left:right]
         if open_.any():
-            open_[open_] = cast(i, rays[where][open_]) >= depth[where][open_]
+            directions = rays[top:bottom, left:right][open_]
+            nearest = bodies[i].depths(starts[i], directions, rotations[i])
+            open_[open_] = nearest >= depth[top:bottom, left:right][open_]
     return 1.0 - int(seen.sum()) / whole
 
 

@@ -7,7 +7,13 @@ from html import escape
 import numpy as np
 
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import METRICS, Estimate, score, score_by_count
+from mechsearch.evaluation.metrics import (
+    GRASP_METRICS,
+    METRICS,
+    Estimate,
+    score,
+    score_by_count,
+)
 
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"
@@ -91,11 +97,13 @@ def cell(metric: str, estimate: Estimate, signed: bool = False) -> str:
 
 
 def score_table(scores: Mapping[str, Scores], caption: str = "Scores") -> Table:
-    """Return policies in rows and `METRICS` in columns."""
-    columns = ("policy", *(display(metric).label for metric in METRICS))
+    """Return policies in rows and `METRICS` in columns, then those of `GRASP_METRICS` there are."""
+    grasped = [name for name in GRASP_METRICS if any(name in row for row in scores.values())]
+    metrics = (*METRICS, *grasped)
+    columns = ("policy", *(display(metric).label for metric in metrics))
     rows = [
-        (name, *(cell(metric, values[metric]) for metric in METRICS))
-        for name, values in scores.items()
+        (name, *(cell(metric, row[metric]) if metric in row else "" for metric in metrics))
+        for name, row in scores.items()
     ]
     return Table(caption, columns, tuple(rows))
 

@@ -8,6 +8,8 @@ import numpy as np
 from mechsearch.objects.model import ObjectModel
 from mechsearch.types import Floats
 
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
 
 @dataclass(frozen=True)
 class Pusher:
@@ -36,7 +38,7 @@ class Pusher:
 
     def pose(self, position: Floats) -> Floats:
         """Return the pose (7,) of the visual model for a tip at `position` (3,)."""
-        return np.array([*position, 1.0, 0.0, 0.0, 0.0])
+        return np.concatenate([position, _UPRIGHT])
 
 
 @cache

@@ -15,6 +15,9 @@ from mechsearch.types import Array, Floats
 ENGINE_VERSION = str(mujoco.__version__)
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _AWAY = np.array([0.0, 0.0, 5.0])
+_SUNK = -0.01
+"""Height below which a centre of mass on the table has gone through it [m]."""
+
 _REST_CHECK = 4
 """Steps between two looks whether an action is over early."""
 
@@ -52,11 +55,15 @@ class World:
         limits = np.full(self._model.nv, self.config.still_speed)
         limits[: 6 * self.count].reshape(-1, 6)[:, 3:] = self.config.still_spin
         self._slowness = 1.0 / limits
+        # Views of the engine's memory: each look through its binding would cost a microsecond.
+        self._qpos, self._qvel = self._data.qpos, self._data.qvel
+        self._objects: Floats = self._qpos[: 7 * self.count].reshape(-1, 7)
+        self._warnings = self._data.warning.number
 
     @property
     def poses(self) -> Floats:
         """Poses (N, 7) of all objects."""
-        return np.array(self._data.qpos[: 7 * self.count]).reshape(-1, 7)
+        return self._objects.copy()
 
     @property
     def velocities(self) -> Floats:
@@ -163,7 +170,7 @@ class World:
 
     def _lies_still(self) -> bool:
         """Return whether neither an object nor the pusher moves."""
-        return bool(np.abs(self._data.qvel * self._slowness).max(initial=0.0) < 1.0)
+        return bool(np.abs(self._qvel * self._slowness).max(initial=0.0) < 1.0)
 
     def _wake(self) -> None:
         """Wake all objects, and let those at rest fall asleep after one step.
@@ -188,19 +195,17 @@ class World:
 
     def failure(self) -> str | None:
         """Return the name of a simulator failure, or None while physics can be trusted."""
-        data, config = self._data, self.config
-        highest = np.abs(data.qvel).max(initial=0.0)
-        if not (np.isfinite(np.abs(data.qpos).max(initial=0.0)) and np.isfinite(highest)):
+        data, config, poses = self._data, self.config, self._objects
+        highest = np.abs(self._qvel).max(initial=0.0)
+        if not (np.isfinite(np.abs(self._qpos).max(initial=0.0)) and np.isfinite(highest)):
             return "not a number"
-        if data.warning.number.any():
+        if self._warnings.any():
             return "solver warning"
-        poses = self._data.qpos[: 7 * self.count].reshape(-1, 7)
-        sunk = poses[:, 2] < -0.01
         # No axis is faster than the whole: most of the time there is nothing to look at.
-        if sunk.any() or 2.0 * highest > config.explosion_speed:
+        if poses[:, 2].min(initial=0.0) < _SUNK or 2.0 * highest > config.explosion_speed:
             fast = np.linalg.norm(self.velocities[:, :3], axis=1) > config.explosion_speed
             on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
-            if (on_table & sunk).any():
+            if (on_table & (poses[:, 2] < _SUNK)).any():
                 return "tunnelling"
             if (on_table & fast).any():
                 return "explosion"

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.grasp.change import ChangeTask, at_rest, measure
+from mechsearch.grasp.standing import StandingTask, at_rest, measure
 from mechsearch.sim.lift import Outcome
 
 
@@ -21,27 +21,26 @@ COVERED = np.array([at(0, 0, 0.015), at(0, 0, 0.04)])
 CLEARED = np.array([at(0, 0, 0.015), at(0.25, 0, 0.01)])
 
 
-def task(first, last):
-    return ChangeTask(Path(), "boxes", ("bar", "lid"), 0, first, last)
+def task(poses, **options):
+    return StandingTask(Path(), "boxes", ("bar", "lid"), 0, poses, **options)
 
 
 def test_uncovering_makes_a_target_graspable_and_retrieved(released, scene):
-    change = measure(released, scene, task(COVERED, CLEARED))
-    assert change.before.score == 0.0
-    assert change.retrieved_before is None
-    assert change.after.score > 0.97
-    assert change.retrieved_after is Outcome.SUCCESS
-    assert change.alone.score == pytest.approx(change.after.score, abs=5e-3)
+    covered = measure(released, scene, task(COVERED, at_rest=True, alone=True))
+    assert covered.now.score == 0.0
+    assert covered.retrieved is None
+    cleared = measure(released, scene, task(CLEARED))
+    assert cleared.now.score > 0.97
+    assert cleared.retrieved is Outcome.SUCCESS
+    assert cleared.alone is None
+    assert covered.alone.score == pytest.approx(cleared.now.score, abs=5e-3)
 
 
-def test_a_lost_target_counts_zero_afterwards(released, scene):
-    lost = np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)])
-    change = measure(released, scene, task(CLEARED, lost))
-    assert change.after.lost
-    assert change.retrieved_after is None
-    assert change.after.score == 0.0
-    assert change.before.score > 0.97
-    assert change.retrieved_before is Outcome.SUCCESS
+def test_a_lost_target_counts_zero(released, scene):
+    lost = measure(released, scene, task(np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)])))
+    assert lost.now.lost
+    assert lost.now.score == 0.0
+    assert lost.retrieved is None
 
 
 def test_the_end_is_measured_at_rest_without_the_robot(scene):

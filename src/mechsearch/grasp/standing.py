@@ -1,4 +1,4 @@
-"""What an episode did for the grasp: graspability and retrieval of its target, before and after."""
+"""What a gripper can do with a target: its graspability, and whether it is retrieved."""
 
 import multiprocessing
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,60 +22,56 @@ from mechsearch.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
-    """One target at the beginning and at the end of an episode.
+class Standing:
+    """What a gripper can do with one target in one state.
 
     Attributes:
-        before: Its graspability at the beginning.
-        after: Its graspability at the end.
-        alone: Its graspability at the beginning, all clutter removed.
-        retrieved_before: What its best grasp came to at the beginning, executed as planned; None
-            where there is no grasp to try.
-        retrieved_after: Likewise at the end.
+        now: Its graspability.
+        alone: Its graspability with all clutter removed; None where it was not asked for.
+        retrieved: What its best grasp came to, executed as planned; None where there is no grasp to
+            try.
     """
 
-    before: Graspability
-    after: Graspability
-    alone: Graspability
-    retrieved_before: Outcome | None
-    retrieved_after: Outcome | None
+    now: Graspability
+    alone: Graspability | None
+    retrieved: Outcome | None
 
 
 @dataclass(frozen=True, eq=False)
-class ChangeTask:
-    """An episode's first and last state.
+class StandingTask:
+    """One state of a heap, such as an episode's first or last.
 
     Attributes:
         network: File of the grasp network.
         objects: Object set, as given to `load_object_set`.
         names: Of the objects (N,).
         target: Index of the target.
-        first: Poses (N, 7).
-        last: Poses (N, 7).
+        poses: Of the objects (N, 7).
+        at_rest: Whether they lie still, as a heap does; otherwise they come to rest first, the
+            robot out of the way.
+        alone: Whether to rate the target with all clutter removed too.
     """
 
     network: Path
     objects: str
     names: tuple[str, ...]
     target: int
-    first: Floats
-    last: Floats
+    poses: Floats
+    at_rest: bool = False
+    alone: bool = False
 
 
-def measure_all(tasks: Iterable[ChangeTask], workers: int = 1) -> Iterator[Change]:
-    """Yield the change of each episode, in order, whatever the number of workers."""
+def measure_all(tasks: Iterable[StandingTask], workers: int = 1) -> Iterator[Standing]:
+    """Yield how each target stands, in order, whatever the number of workers."""
     yield from map_in_order(_measure, tasks, workers)
 
 
-def measure(network: GraspNetwork, models: Sequence[ObjectModel], task: ChangeTask) -> Change:
-    """Return the change of one episode; its end is measured at rest, the robot out of the way."""
-    first, last = task.first, at_rest(models, task.last)
-    before = graspability(network, models, first, task.target)
-    after = graspability(network, models, last, task.target)
-    alone = ceiling(network, models[task.target], first[task.target])
-    return Change(
-        before, after, alone, _tried(models, task, first, before), _tried(models, task, last, after)
-    )
+def measure(network: GraspNetwork, models: Sequence[ObjectModel], task: StandingTask) -> Standing:
+    """Return how the target of one state stands."""
+    poses = task.poses if task.at_rest else at_rest(models, task.poses)
+    now = graspability(network, models, poses, task.target)
+    alone = ceiling(network, models[task.target], poses[task.target]) if task.alone else None
+    return Standing(now, alone, _tried(models, task, poses, now))
 
 
 def at_rest(models: Sequence[ObjectModel], poses: Floats) -> Floats:
@@ -92,7 +88,7 @@ def at_rest(models: Sequence[ObjectModel], poses: Floats) -> Floats:
 
 
 def _tried(
-    models: Sequence[ObjectModel], task: ChangeTask, poses: Floats, now: Graspability
+    models: Sequence[ObjectModel], task: StandingTask, poses: Floats, now: Graspability
 ) -> Outcome | None:
     if now.best is None:
         return None
@@ -109,6 +105,6 @@ def shared_network(path: Path) -> GraspNetwork:
     return load_network(path)
 
 
-def _measure(task: ChangeTask) -> Change:
+def _measure(task: StandingTask) -> Standing:
     models = object_set(task.objects).models
     return measure(shared_network(task.network), [models[name] for name in task.names], task)

@@ -1,0 +1,43 @@
+"""What bits depend on besides data and seed: versions, processor, threads."""
+
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+PACKAGES = ("mechsearch", "numpy", "scipy", "torch", "mujoco-core", "embreex")
+
+
+def fingerprint(threads: int = 1) -> dict[str, str]:
+    """Return the versions of everything that computes, the processor's kind and the threads.
+
+    Two results with the same fingerprint, data and seed are the same bytes; with others they are
+    the same but for rounding.
+    """
+    simd = np.show_config(mode="dicts")["SIMD Extensions"]
+    found = {name: _version(name) for name in PACKAGES}
+    return found | {
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "vector units": " ".join((*simd["baseline"], *simd.get("found", ()))),
+        "threads": str(threads),
+    }
+
+
+def crossed(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Return in what two fingerprints differ, in words, such as "torch 2.4.0 instead of 2.3.1"."""
+    names = dict.fromkeys((*before, *now))
+    return [
+        f"{name} {now.get(name, 'not recorded')} instead of {before.get(name, 'not recorded')}"
+        for name in names
+        if before.get(name) != now.get(name)
+    ]
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "absent"
