@@ -20,6 +20,7 @@ from mechsearch.experiments.status import (
     SweepStatus,
     status_of,
 )
+from mechsearch.grasp.network import load_network
 from mechsearch.parallel import map_in_order, map_long_work, silent
 from mechsearch.report.tables import Table, to_text
 
@@ -48,6 +49,7 @@ class Sweep(Command):
         demonstrations: Heaps that are demonstrated for plus.
         imitation_updates: Gradient steps on the demonstrations.
         grasps: Whether final episodes are measured by graspability and retrieval too.
+        grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
         workers: Jobs at a time, one process each.
         ray: Spread the jobs by Ray instead.
         ray_address: Of a Ray cluster that sees the folder; "auto" finds one that runs.
@@ -70,6 +72,7 @@ class Sweep(Command):
     demonstrations: int | None = None
     imitation_updates: int | None = None
     grasps: bool | None = None
+    grasp_network: Path | None = None
     workers: int = WORKERS
     ray: bool = False
     ray_address: str = ""
@@ -84,9 +87,12 @@ class Sweep(Command):
         plan = self._plan(folder)
         rows = tuple((name, value) for name, value in described(plan))
         say(to_text(Table(f"The sweep in {self.out}", ("what", "value"), rows)))
+        if plan.grasps:
+            # Refused before hours of work rather than after them.
+            load_network(_network(plan))
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             long = map_long_work if mapper is map_in_order else mapper
-            found = carry_out(plan, self.out, workers, long, grasped, _Teller())
+            found = carry_out(plan, self.out, workers, long, Grasped(_network(plan)), _Teller())
         say(to_text(_table(found)))
         _say_failures(found)
         wrote(folder.summary)
@@ -107,15 +113,29 @@ class Sweep(Command):
         return replace(plan, **changes)
 
 
-def grasped(evaluation: Evaluation) -> Evaluation:
-    """Return an evaluation with graspability and retrieval by the shipped network."""
-    return _grasping().measured(evaluation, silent)
+@dataclass(frozen=True)
+class Grasped:
+    """Measures graspability and retrieval, in whichever process.
+
+    Attributes:
+        network: File of the grasp network; None takes the shipped one.
+    """
+
+    network: Path | None
+
+    def __call__(self, evaluation: Evaluation) -> Evaluation:
+        """Return the evaluation with what a gripper could do with its targets."""
+        return _grasping(self.network).measured(evaluation, silent)
 
 
 @cache
-def _grasping() -> Grasping:
+def _grasping(network: Path | None) -> Grasping:
     """Return what measures grasps; each process keeps what its evaluations have in common."""
-    return Grasping(None, "", workers=1)
+    return Grasping(network, "", workers=1)
+
+
+def _network(plan: SweepPlan) -> Path | None:
+    return Path(plan.grasp_network) if plan.grasp_network else None
 
 
 class _Teller:

@@ -51,6 +51,7 @@ class SweepPlan:
         demonstrations: Training heaps that the look-ahead expert demonstrates, for `plus`.
         imitation_updates: Gradient steps on them, for `plus`.
         grasps: Whether final episodes are also measured by graspability and retrieval.
+        grasp_network: File of the grasp network to do it with; empty takes the shipped one.
     """
 
     experiment: str = "paper"
@@ -70,6 +71,7 @@ class SweepPlan:
     demonstrations: int = 520
     imitation_updates: int = 3000
     grasps: bool = True
+    grasp_network: str = ""
 
     def __post_init__(self) -> None:
         _check_names("condition", self.conditions, tuple(CONDITIONS))
