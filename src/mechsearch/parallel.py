@@ -85,7 +85,27 @@ def map_in_order(
         instead: Given an input that failed twice and its last failure, returns what is yielded in
             the result's place, or raises.
     """
-    ledger = Ledger(inputs, instead)
+    return _mapped(function, Ledger(inputs, instead), workers, time_limit, _ASKED)
+
+
+def map_long_work(
+    function: Callable[[Input], Result],
+    inputs: Iterable[Input],
+    workers: int,
+    time_limit: float | None = None,
+    instead: Callable[[Input, Failure], Result] = raise_failure,
+) -> Iterator[Result]:
+    """Do as `map_in_order`, for work of minutes: no input waits behind another at one worker."""
+    return _mapped(function, Ledger(inputs, instead), workers, time_limit, 1)
+
+
+def _mapped(
+    function: Callable[[Input], Result],
+    ledger: "Ledger[Input, Result]",
+    workers: int,
+    time_limit: float | None,
+    held: int,
+) -> Iterator[Result]:
     if workers <= 1:
         for number, item in iter(partial(ledger.take, 1), None):
             ledger.settle(number, attempted(function, item))
@@ -95,7 +115,7 @@ def map_in_order(
     try:
         while True:
             yield from ledger.due()
-            _feed(crew, ledger, function, workers, time_limit)
+            _feed(crew, ledger, function, workers, time_limit, held)
             busy = [worker for worker in crew if worker.asked]
             if not busy:
                 return
@@ -190,9 +210,10 @@ def _feed(
     function: Callable[[Input], Any],
     workers: int,
     time_limit: float | None,
+    held: int,
 ) -> None:
     """Give every worker something to do, starting as many as there is work for."""
-    while len(crew) < workers or any(len(worker.asked) < _ASKED for worker in crew):
+    while len(crew) < workers or any(len(worker.asked) < held for worker in crew):
         taken = ledger.take(4 * workers)
         if taken is None:
             return

@@ -1,11 +1,14 @@
-"""Files that are whole or absent, and the layout of a run directory."""
+"""Files that are whole or absent, locks on them, and the layout of a run directory."""
 
 import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from mechsearch.types import MechSearchError
 
@@ -55,6 +58,33 @@ def read_json(path: Path, purpose: str) -> Any:
         raise MechSearchError(f"no {purpose} at {path}") from None
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise MechSearchError(f"the {purpose} at {path} is damaged: {error}") from None
+
+
+@contextmanager
+def locked(path: Path, wait: bool = True) -> Iterator[bool]:
+    """Keep other processes from what is at `path` while inside.
+
+    The lock is the operating system's: it ends with the process that holds it, however that ends.
+    The file beside `path` that carries it stays.
+
+    Args:
+        path: What is locked; it need not exist.
+        wait: Whether to wait for another holder.
+
+    Yields:
+        Whether the lock is held; False only without waiting.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path.with_name(f".{path.name}.lock"))
+    try:
+        lock.acquire(timeout=-1 if wait else 0)
+    except Timeout:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.release()
 
 
 def append_line(path: Path, record: dict[str, Any]) -> None:

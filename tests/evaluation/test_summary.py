@@ -1,3 +1,4 @@
+import multiprocessing
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,9 +92,26 @@ def test_a_file_that_is_no_summary_is_refused_and_kept(
     with pytest.raises(MechSearchError, match=message):
         summary.merge(path, [ROW])
     assert path.read_text() == text
-    assert list(tmp_path.iterdir()) == [path]
+    assert [file for file in tmp_path.iterdir() if file.suffix != ".lock"] == [path]
 
 
 def test_a_missing_summary_is_named(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no summary at"):
         summary.read(tmp_path / "summary.csv")
+
+
+def merge_rows(path: Path, seed: int) -> None:
+    for actions in range(15):
+        summary.merge(path, [replace(ROW, seed=seed, actions=actions)])
+
+
+def test_processes_that_merge_at_once_lose_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "summary.csv"
+    context = multiprocessing.get_context("spawn")
+    crew = [context.Process(target=merge_rows, args=(path, seed)) for seed in range(2)]
+    for process in crew:
+        process.start()
+    for process in crew:
+        process.join()
+    assert [process.exitcode for process in crew] == [0] * 2
+    assert len(summary.read(path)) == 30

@@ -34,6 +34,7 @@ COMMANDS = {
     "demonstrate": Entry("training:Demonstrate", "record a look-ahead expert", learns=True),
     "train": Entry("training:Train", "train an actor, or go on with a run", learns=True),
     "evaluate": Entry("evaluation:Evaluate", "score policies on heaps and record the episodes"),
+    "sweep": Entry("sweeping:Sweep", "every experiment of the paper, by one command", learns=True),
     "verify": Entry("verification:Verify", "play recorded episodes again: the same bits?"),
     "show": Entry("evaluation:Show", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
     "grasp score": Entry("grasping:Score", "rate grasps on targets: heaps, or your image", True),

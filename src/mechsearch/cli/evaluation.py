@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +12,9 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.metrics import METRICS, score
+from mechsearch.evaluation.metrics import METRICS
 from mechsearch.evaluation.policies import make_policy
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
 from mechsearch.parallel import Mapper
 from mechsearch.report import tables
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
@@ -34,8 +33,9 @@ class Evaluate(Command):
     """Score policies on a heap set and record every episode.
 
     Attributes:
-        policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, a run
-            directory, an actor's file (.safetensors), or package.module:factory.
+        policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, look-ahead
+            (tries the teachers' pushes in the simulator), a run directory, an actor's file
+            (.safetensors), or package.module:factory.
         heaps: Heap set (.parquet).
         out: Folder for the recorded episodes, one file for each policy.
         name: Under which a single policy is reported; by default that of its run, or its own text.
@@ -94,7 +94,7 @@ class Evaluate(Command):
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
-                    summary.merge(self.summary, summary_rows(self.experiment, evaluation))
+                    summary.merge(self.summary, summary.rows_of(self.experiment, evaluation))
         self._print(named(evaluations))
         wrote(self.out)
 
@@ -132,6 +132,10 @@ class Evaluate(Command):
         for name, evaluation in evaluations.items():
             for lost in evaluation.header.get("quarantined", ()):
                 say(f"{name}: heap {lost['heap']} is left out, it failed twice: {lost['reason']}")
+            if "simulated_actions" in evaluation.header:
+                executed = sum(len(record.actions) for record in evaluation.episodes)
+                simulated = evaluation.header["simulated_actions"]
+                say(f"{name}: {executed:,} actions executed, {simulated:,} more simulated to plan")
         say(tables.NOTE)
 
 
@@ -206,29 +210,6 @@ def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> 
 def write(evaluation: Evaluation, folder: Path) -> None:
     """Write the episodes of an evaluation into a folder."""
     episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
-
-
-def summary_rows(experiment: str, evaluation: Evaluation) -> list[summary.SummaryRow]:
-    """Return the rows that an evaluation enters into a summary."""
-    header = evaluation.header
-    seed = header["training_seed"] if header["trained"] else header["seed"]
-    return summary.rows(
-        experiment,
-        header["condition"],
-        header["name"],
-        header["seed"] if seed is None else seed,
-        header["training_actions"],
-        score(evaluation.episodes),
-    )
-
-
-def file_name(evaluation: Evaluation) -> str:
-    """Return a name for an evaluation's file that tells seeds and lengths of training apart."""
-    header = evaluation.header
-    words = [header["name"]]
-    if header["trained"]:
-        words += [f"seed{header['training_seed']}", f"{header['training_actions']}"]
-    return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-")
 
 
 def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:

@@ -7,23 +7,15 @@ from typing import Annotated, Self
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
-from mechsearch.env.heap_env import HeapEnv
+from mechsearch.cli.command import WORKERS, Command, bars, say, spread, wrote
 from mechsearch.evaluation.look_ahead import LookAheadConfig
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
-from mechsearch.runs import read_json, write_json
-from mechsearch.train.assemble import assemble
+from mechsearch.evaluation.metrics import METRICS
+from mechsearch.heaps.dataset import load
 from mechsearch.train.checkpoint import CONFIG_FILE
-from mechsearch.train.collector import Env
 from mechsearch.train.config import PRESETS, TrainConfig, load_config, preset_config
-from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
-from mechsearch.train.expert import DemonstrateConfig, LookAheadExpert, demonstrate, failed
-from mechsearch.train.imitate import Expert, imitate
-from mechsearch.train.loop import train
+from mechsearch.train.expert import DemonstrateConfig, demonstrate, failed
+from mechsearch.train.trial import TrialInputs, run_trial
 from mechsearch.types import MechSearchError
-
-INPUTS_FILE = "inputs.json"
-"""What a run was made from, beside its configuration, so that it can go on by itself."""
 
 
 @dataclass(frozen=True)
@@ -69,80 +61,18 @@ class Train(Command):
 
     @classmethod
     def _of_run(cls, folder: Path) -> Self:
-        config = load_config(folder / CONFIG_FILE)
-        inputs = read_json(folder / INPUTS_FILE, "record of a run's inputs")
-        shown = inputs["demonstrations"]
-        return cls(
-            Path(inputs["heaps"]),
-            folder,
-            config,
-            inputs["objects"],
-            Path(shown) if shown else None,
-            resume=True,
-        )
+        config, inputs = load_config(folder / CONFIG_FILE), TrialInputs.of_run(folder)
+        return cls(inputs.heaps, folder, config, inputs.objects, inputs.demonstrations, resume=True)
 
     def run(self) -> None:
         """Train, with a progress bar that shows the last evaluation."""
-        heap_set = load(self.heaps)
-        objects = objects_of(heap_set, self.objects)
-        check_objects(heap_set, objects)
-        shown = self._demonstrations(heap_set)
-        self._record_inputs(heap_set)
-        parts = assemble(self.config, heap_set, objects)
+        inputs = TrialInputs(self.heaps, self.objects, self.demonstrations)
         with bars() as progress:
-            if shown is None:
-                scores = train(self.config, parts, self.out, self.resume, progress)
-            else:
-                expert = _expert_for(parts.env)
-                scores = imitate(self.config, shown, self.out, parts, expert, self.resume, progress)
+            scores = run_trial(self.config, inputs, self.out, self.resume, progress)
         if scores:
-            values = ", ".join(f"{name} {value:.3g}" for name, value in scores.items())
-            say(f"last evaluation, on validation heaps: {values}")
+            shown = [f"{name} {scores[name]:.3g}" for name in METRICS if name in scores]
+            say(f"last evaluation: {', '.join(shown)}")
         wrote(self.out)
-
-    def _demonstrations(self, heap_set: HeapSet) -> list[Demonstration] | None:
-        """Return what is to be imitated, or None where the variant does not imitate.
-
-        Raises:
-            MechSearchError: If demonstrations are missing, not asked for, or of other heaps.
-        """
-        imitation = self.config.imitation
-        if bool(imitation.updates) != bool(self.demonstrations):
-            raise MechSearchError(
-                f"{self.config.name} imitates; give it --demonstrations, a folder that "
-                "`mechsearch demonstrate` wrote"
-                if imitation.updates
-                else f"{self.config.name} does not imitate; leave --demonstrations out"
-            )
-        if self.demonstrations is None:
-            return None
-        store = DemonstrationStore(self.demonstrations)
-        if store.facts().get("heap_set") != heap_set.hash:
-            raise MechSearchError(
-                f"the demonstrations at {self.demonstrations} are of other heaps than {self.heaps}"
-            )
-        return store.read_all(imitation.demonstrations)
-
-    def _record_inputs(self, heap_set: HeapSet) -> None:
-        """Write what the run is made from, or check that it is made from the same.
-
-        Raises:
-            MechSearchError: If a run that goes on began with other heaps.
-        """
-        file = self.out / INPUTS_FILE
-        if self.resume:
-            began = read_json(file, "record of a run's inputs")["heap_set"]
-            if began != heap_set.hash:
-                raise MechSearchError(
-                    f"{self.out} began with the heap set {began[:12]}..., and {self.heaps} is "
-                    f"{heap_set.hash[:12]}...; go on with the same"
-                )
-        elif not (self.out / CONFIG_FILE).exists():
-            objects = self.objects or str(heap_set.manifest["config"]["objects"])
-            heaps = str(self.heaps.resolve())
-            shown = str(self.demonstrations.resolve()) if self.demonstrations else None
-            inputs = {"heaps": heaps, "heap_set": heap_set.hash, "objects": objects}
-            write_json(file, inputs | {"demonstrations": shown})
 
 
 @dataclass(frozen=True)
@@ -193,18 +123,6 @@ class Demonstrate(Command):
         shown, lost = store.names(), failed(self.out)
         say(f"{len(shown)} demonstrations; on {len(lost)} heaps no push succeeded")
         wrote(self.out)
-
-
-def _expert_for(task: Env) -> Expert:
-    """Return the look-ahead expert for corrections in an environment over heaps."""
-    look_ahead = LookAheadExpert(_over_heaps(task))
-    return lambda env: look_ahead(_over_heaps(env))
-
-
-def _over_heaps(env: Env) -> HeapEnv:
-    if not isinstance(env, HeapEnv):
-        raise MechSearchError(f"the expert plans over heaps, not in a {type(env).__name__}")
-    return env
 
 
 def _usage(program: str) -> str:

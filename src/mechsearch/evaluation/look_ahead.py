@@ -1,11 +1,12 @@
 """An expert that tries every teacher's push in the simulator and keeps the best.
 
-It needs snapshots, so it is no policy: it shows how well pushes can do, and what to imitate. Its
-trial actions are simulated, not executed, and are counted apart.
+It needs snapshots of the simulator, which no robot has: it shows how well pushes can do, and what
+to imitate. Its trial actions are simulated, not executed, and are counted apart.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import Teacher, make_teachers
-from mechsearch.types import TEACHER_KEYS, Array, select
+from mechsearch.types import TEACHER_KEYS, Array, Observation, Policy, select
 
 
 @dataclass(frozen=True)
@@ -140,3 +141,44 @@ class LookAhead:
             score -= WITHOUT_SUCCESS
         directness = float(actions[0] @ towards)
         return Trial(np.array(actions, np.float32), total, end, "", 0.0, score, directness)
+
+
+@runtime_checkable
+class Planner(Policy, Protocol):
+    """A policy that looks at the simulator itself before an episode begins."""
+
+    simulated_actions: int
+    """Actions simulated to plan the present episode, none of them executed."""
+
+    def plan(self, env: HeapEnv) -> None:
+        """Plan from where an environment is, and leave it there."""
+
+
+class LookAheadPolicy:
+    """The best push found from an episode's start, executed to its end: the ceiling of pushes."""
+
+    keys: tuple[str, ...] = ("ee_position",)
+
+    def __init__(self, config: LookAheadConfig | None = None) -> None:
+        """Set how far to look."""
+        self._config = config
+        self._env: HeapEnv | None = None
+        self.simulated_actions = 0
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Forget the last plan; trials draw from the heap's own seed."""
+        self._actions: list[NDArray[np.float32]] = []
+        self.simulated_actions = 0
+
+    def plan(self, env: HeapEnv) -> None:
+        """Try every push from where the environment is."""
+        if env is not self._env:
+            self._look_ahead = LookAhead(env.heaps, env.objects, env.config, self._config)
+            self._env = env
+        plan = self._look_ahead.plan(env.snapshot(), env.heap.seed)
+        self._actions = list(plan.actions[::-1])
+        self.simulated_actions = plan.simulated_actions
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the plan's next action (3,); stay in place once it is over."""
+        return self._actions.pop() if self._actions else np.zeros(3, np.float32)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.evaluation.look_ahead import LookAheadPolicy
 from mechsearch.runs import read_json
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
@@ -17,6 +18,9 @@ TRAINED_LOADER = "mechsearch.agent.policy:load_actor"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 RUN_CONFIG = "config.json"
+
+LOOK_AHEAD = "look-ahead"
+"""Plans in the simulator, and takes some seconds a heap; a ceiling rather than a baseline."""
 
 
 class RandomPolicy:
@@ -51,7 +55,7 @@ class IdlePolicy:
 
 
 def policy_names() -> tuple[str, ...]:
-    """Return the names of the built-in policies."""
+    """Return the names of the built-in baselines, which plan nothing."""
     return ("random", "idle", *(f"teacher-{name}" for name in make_teachers()))
 
 
@@ -59,10 +63,10 @@ def make_policy(spec: str) -> Policy:
     """Return the policy that a text names.
 
     Args:
-        spec: "random", "idle", "teacher-straight", "teacher-zigzag" or "teacher-spiral"; a run
-            directory, whose last actor is meant, or one actor's file (.safetensors); or
-            `package.module:factory`, a function without arguments, or a class, that returns a
-            `mechsearch.types.Policy`.
+        spec: "random", "idle", "teacher-straight", "teacher-zigzag", "teacher-spiral" or
+            "look-ahead"; a run directory, whose last actor is meant, or one actor's file
+            (.safetensors); or `package.module:factory`, a function without arguments, or a class,
+            that returns a `mechsearch.types.Policy`.
 
     Raises:
         MechSearchError: If there is no such policy, or it cannot be made.
@@ -71,6 +75,8 @@ def make_policy(spec: str) -> Policy:
         return RandomPolicy()
     if spec == "idle":
         return IdlePolicy()
+    if spec == LOOK_AHEAD:
+        return LookAheadPolicy()
     teachers = make_teachers()
     if spec.removeprefix("teacher-") in teachers and spec.startswith("teacher-"):
         return teachers[spec.removeprefix("teacher-")]
@@ -80,8 +86,8 @@ def make_policy(spec: str) -> Policy:
     if colon and all(part.isidentifier() for part in (*module.split("."), name)):
         return _checked(_found(spec)(), spec)
     raise MechSearchError(
-        f"unknown policy {spec!r}; choose one of {', '.join(policy_names())}, a run directory, "
-        "an actor's file (.safetensors), or package.module:factory"
+        f"unknown policy {spec!r}; choose one of {', '.join(policy_names())}, {LOOK_AHEAD}, a run "
+        "directory, an actor's file (.safetensors), or package.module:factory"
     )
 
 

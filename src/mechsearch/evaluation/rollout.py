@@ -1,6 +1,7 @@
 """Runs a policy on heaps and records every episode."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
@@ -12,6 +13,7 @@ import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.fingerprint import fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
@@ -105,6 +107,8 @@ def run_episode(
     heap = env.heaps[index]
     obs, _ = env.reset(options={"heap": index, "fixed_start": True})
     policy.reset(np.random.default_rng([seed, heap.seed]))
+    if isinstance(policy, Planner):
+        policy.plan(env)
     states, actions, infos = [env.state], [], [{"end": None}]
     while infos[-1]["end"] is None:
         action = _act(policy, obs, name)
@@ -173,13 +177,15 @@ def evaluate(
     env, heap_set, indices, policy = _prepared(plan)
     name = plan.title
     records: list[EpisodeRecord] = []
+    simulated = 0
     quarantined: list[dict[str, Any]] = []
     results = mapper(_Episode(plan, name), indices, workers, EPISODE_LIMIT, _quarantine)
     for i, (index, result) in enumerate(zip(indices, results, strict=True)):
         if isinstance(result, Failure):
             quarantined.append({"heap": env.heaps[index].seed, "reason": result.reason})
         else:
-            records.append(result)
+            records.append(result[0])
+            simulated += result[1]
         progress(name, i + 1, len(indices))
     if not records:
         first = quarantined[0]
@@ -188,7 +194,18 @@ def evaluate(
         )
     header = _header(plan, env, heap_set, policy)
     header |= {"heaps": len(indices), "quarantined": quarantined}
+    if isinstance(policy, Planner):
+        header["simulated_actions"] = simulated
     return Evaluation(header, tuple(records))
+
+
+def file_name(evaluation: Evaluation) -> str:
+    """Return a name for an evaluation's file that tells seeds and lengths of training apart."""
+    header = evaluation.header
+    words = [header["name"]]
+    if header["trained"]:
+        words += [f"seed{header['training_seed']}", f"{header['training_actions']}"]
+    return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-")
 
 
 def _quarantine(index: int, failure: Failure) -> Failure:
@@ -197,14 +214,15 @@ def _quarantine(index: int, failure: Failure) -> Failure:
 
 @dataclass(frozen=True)
 class _Episode:
-    """One heap's episode, in whichever process."""
+    """One heap's episode and the actions simulated to plan it, in whichever process."""
 
     plan: EvaluationPlan
     name: str
 
-    def __call__(self, index: int) -> EpisodeRecord | Failure:
+    def __call__(self, index: int) -> tuple[EpisodeRecord, int] | Failure:
         env, _, _, policy = _prepared(self.plan)
-        return run_episode(policy, env, index, self.plan.seed, self.name)
+        record = run_episode(policy, env, index, self.plan.seed, self.name)
+        return record, policy.simulated_actions if isinstance(policy, Planner) else 0
 
 
 @lru_cache(maxsize=1)

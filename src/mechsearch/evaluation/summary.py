@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate
-from mechsearch.runs import write_whole
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, score
+from mechsearch.runs import locked, write_whole
 from mechsearch.types import MechSearchError
 
 
@@ -77,6 +78,20 @@ def rows(
     ]
 
 
+def rows_of(experiment: str, evaluation: Evaluation) -> list[SummaryRow]:
+    """Return the rows that an evaluation enters into a summary."""
+    header = evaluation.header
+    seed = header["training_seed"] if header["trained"] else header["seed"]
+    return rows(
+        experiment,
+        header["condition"],
+        header["name"],
+        header["seed"] if seed is None else seed,
+        header["training_actions"],
+        score(evaluation.episodes),
+    )
+
+
 def read(path: Path) -> list[SummaryRow]:
     """Return the rows of a summary, in the file's order.
 
@@ -99,15 +114,21 @@ def read(path: Path) -> list[SummaryRow]:
 def merge(path: Path, new: Iterable[SummaryRow]) -> list[SummaryRow]:
     """Add rows to a summary, replacing those of the same name, and return all, sorted.
 
-    The file is written whole; one that cannot be read is left as it is.
+    The file is written whole; one that cannot be read is left as it is. Processes that merge at the
+    same time wait for each other, and no row is lost.
 
     Raises:
         MechSearchError: If the file is there but is not a summary.
     """
-    kept = {row.key: row for row in (read(path) if path.exists() else [])}
-    kept |= {row.key: row for row in new}
-    merged = [kept[key] for key in sorted(kept)]
+    with locked(path):
+        kept = {row.key: row for row in (read(path) if path.exists() else [])}
+        kept |= {row.key: row for row in new}
+        merged = [kept[key] for key in sorted(kept)]
+        _write(path, merged)
+    return merged
 
+
+def _write(path: Path, merged: Iterable[SummaryRow]) -> None:
     def write(partial: Path) -> None:
         with partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
@@ -115,7 +136,6 @@ def merge(path: Path, new: Iterable[SummaryRow]) -> list[SummaryRow]:
             writer.writerows(_cells(row) for row in merged)
 
     write_whole(path, write)
-    return merged
 
 
 def _cells(row: SummaryRow) -> list[str]:

@@ -21,15 +21,25 @@ class HeapEvaluator:
     Attributes:
         env: The task, with the actor's observations only.
         heaps: Indices of the heaps.
+        intervals: Whether to return the mean's confidence interval too.
     """
 
     env: HeapEnv
     heaps: tuple[int, ...]
+    intervals: bool = False
 
     def __call__(self, policy: Policy) -> dict[str, float]:
-        """Return the mean of every metric."""
-        records = run(policy, self.env, self.heaps)
-        return {name: estimate.mean for name, estimate in score(records).items()}
+        """Return the mean of every metric.
+
+        With intervals, `<metric>_ci_low`, `<metric>_ci_high` and the number of `heaps` follow.
+        """
+        scores = score(run(policy, self.env, self.heaps))
+        found = {name: estimate.mean for name, estimate in scores.items()}
+        if self.intervals:
+            found |= {f"{name}_ci_low": estimate.ci_low for name, estimate in scores.items()}
+            found |= {f"{name}_ci_high": estimate.ci_high for name, estimate in scores.items()}
+            found["heaps"] = len(self.heaps)
+        return found
 
 
 def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Parts:
@@ -57,7 +67,9 @@ def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Part
     quiet = HeapEnv(heap_set.heaps, objects, task)
     sets = {"validation": validation, "held_out": watched}
     evaluators: dict[str, Evaluator] = {
-        name: HeapEvaluator(quiet, tuple(heaps)) for name, heaps in sets.items() if heaps
+        name: HeapEvaluator(quiet, tuple(heaps), intervals=name == "held_out")
+        for name, heaps in sets.items()
+        if heaps
     }
     return Parts(env, learnt, {name: teachers[name] for name in config.teachers}, evaluators)
 

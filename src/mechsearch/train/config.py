@@ -77,7 +77,8 @@ class TrainConfig:
         evaluate_every: Actions (in imitation: updates) between evaluations.
         checkpoint_every: Likewise between checkpoints, which wait for the end of an episode.
         validation_heaps: Training heaps set apart to watch the learning.
-        held_out_heaps: Held-out heaps to log a curve on; they choose nothing.
+        held_out_heaps: Held-out heaps to log a curve on, from the untrained actor on; they choose
+            nothing.
         threads: CPU threads; other numbers give other bits.
         camera: View of all images: "overhead" or "tilted".
         image_size: Side of the images [px].

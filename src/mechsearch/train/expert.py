@@ -9,7 +9,7 @@ import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig
-from mechsearch.heaps.dataset import check_objects, load, object_set
+from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
 from mechsearch.runs import write_json
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
@@ -112,16 +112,8 @@ def demonstrate(
             "seed": config.seed,
         }
     )
-    last = config.first + config.count if config.count else len(heap_set.train)
-    names = [
-        f"{start}-{heap:06d}"
-        for start in range(config.starts)
-        for heap in spread_over_counts(
-            [h.count for h in heap_set.train], config.first, min(last, len(heap_set.train))
-        )
-    ]
-    done = set(store.names()) | set(failed(path))
-    todo = [name for name in names if name not in done]
+    names = heap_names(config, heap_set)
+    todo = missing(config, heap_set, path)
     progress("demonstrated heaps", len(names) - len(todo), len(names))
     work = _Demonstrate(config)
     results = mapper(work, todo, workers, HEAP_LIMIT, _lost)
@@ -135,6 +127,20 @@ def demonstrate(
             store.write(name, result[0])
         progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
     return store
+
+
+def heap_names(config: DemonstrateConfig, heap_set: HeapSet) -> list[str]:
+    """Return the names under which a set's training heaps are demonstrated, start by start."""
+    counts = [heap.count for heap in heap_set.train]
+    last = min(config.first + config.count if config.count else len(counts), len(counts))
+    heaps = spread_over_counts(counts, config.first, last)
+    return [f"{start}-{heap:06d}" for start in range(config.starts) for heap in heaps]
+
+
+def missing(config: DemonstrateConfig, heap_set: HeapSet, path: Path) -> list[str]:
+    """Return the names that neither a demonstration nor a failure in a folder has."""
+    done = set(DemonstrationStore(path).names()) | set(failed(path))
+    return [name for name in heap_names(config, heap_set) if name not in done]
 
 
 def _lost(name: str, failure: Failure) -> Failure:

@@ -50,9 +50,10 @@ class RunLog:
 
 
 def _drop_after(path: Path, step: int) -> None:
+    """Keep what was logged up to a step; a run that begins anew keeps nothing."""
     if not path.exists():
         return
-    kept = [record for record in read_lines(path) if record["step"] <= step]
+    kept = [record for record in read_lines(path) if step and record["step"] <= step]
     text = "".join(json.dumps(record) + "\n" for record in kept)
 
     def write(partial: Path) -> None:

@@ -42,6 +42,8 @@ def train(
         session.restore(checkpoint)
     log, speed = RunLog(directory, session.step), Speed(session.step, session.counts["updates"])
     scores: dict[str, float] = {}
+    if session.step == 0 and config.held_out_heaps:
+        scores = evaluate(ActorPolicy(session.learner.actor), 0, parts.evaluators, log)
     last_saved = session.step
     with background() as thread:
         while session.step < config.actions:

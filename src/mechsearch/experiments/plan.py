@@ -1,0 +1,231 @@
+"""Which experiments to carry out (paper, section V), as data, and the file that keeps them."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from mechsearch.agent.records import record_from_json
+from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
+from mechsearch.experiments.folder import SweepFolder
+from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.heaps.generate import GenerateConfig
+from mechsearch.heaps.heap import CONDITIONS
+from mechsearch.runs import read_json, write_json
+from mechsearch.train.config import TrainConfig, preset_config
+from mechsearch.types import MechSearchError
+
+VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
+REFERENCES = (*policy_names(), LOOK_AHEAD)
+
+
+def _check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise MechSearchError(f"unknown {what} {unknown[0]!r}; choose among {', '.join(known)}")
+    if len(set(names)) < len(names):
+        raise MechSearchError(f"a {what} is named twice in {', '.join(names)}; expected each once")
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """All experiments of the paper's section V, unless it says otherwise.
+
+    Attributes:
+        experiment: First column of the summary.
+        objects: Object set; empty takes the one that the heap sets name, or "household".
+        heaps_single: Heap set file of the single condition; empty generates one.
+        heaps_dual: Likewise of the dual condition.
+        generate_single: Single heaps to generate where no file is given.
+        generate_dual: Dual heaps likewise.
+        conditions: "single", "dual" or both.
+        variants: What is trained.
+        seeds: Of the training runs of each variant.
+        actions: Executed in each run.
+        references: Policies that are not trained.
+        curve_heaps: Held-out heaps that curves are drawn on, the same for all runs.
+        curve_every: Actions (in imitation: updates) between two points of a curve.
+        final_heaps: Held-out heaps of the final scores, the same for all policies.
+        demonstrations: Training heaps that the look-ahead expert demonstrates, for `plus`.
+        imitation_updates: Gradient steps on them, for `plus`.
+        grasps: Whether final episodes are also measured by graspability and retrieval.
+        grasp_network: File of the grasp network to do it with; empty takes the shipped one.
+    """
+
+    experiment: str = "paper"
+    objects: str = ""
+    heaps_single: str = ""
+    heaps_dual: str = ""
+    generate_single: int = 3000
+    generate_dual: int = 1200
+    conditions: tuple[str, ...] = ("single", "dual")
+    variants: tuple[str, ...] = VARIANTS
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    actions: int = 8000
+    references: tuple[str, ...] = REFERENCES
+    curve_heaps: int = 50
+    curve_every: int = 1000
+    final_heaps: int = 300
+    demonstrations: int = 520
+    imitation_updates: int = 3000
+    grasps: bool = True
+    grasp_network: str = ""
+
+    def __post_init__(self) -> None:
+        _check_names("condition", self.conditions, tuple(CONDITIONS))
+        _check_names("variant", self.variants, VARIANTS)
+        _check_names("reference", self.references, REFERENCES)
+        if not self.conditions:
+            raise MechSearchError(f"no condition is named; choose among {', '.join(CONDITIONS)}")
+        if len(set(self.seeds)) < len(self.seeds) or any(seed < 0 for seed in self.seeds):
+            raise MechSearchError(f"seeds are {self.seeds}; expected each once, none below 0")
+        if self.variants and not self.seeds:
+            raise MechSearchError("no seed is named; expected at least one for each variant")
+        for name in ("actions", "curve_heaps", "curve_every", "final_heaps", "demonstrations"):
+            if getattr(self, name) < 1:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
+
+    def heap_file(self, condition: str) -> str:
+        """Return the heap set file that was given for a condition; empty if none was."""
+        return self.heaps_single if condition == "single" else self.heaps_dual
+
+    def generated(self, condition: str) -> GenerateConfig:
+        """Return what to generate where no heap set is given."""
+        number = self.generate_single if condition == "single" else self.generate_dual
+        return GenerateConfig(condition, number, self.objects or "household")
+
+    def config(self, variant: str, seed: int) -> TrainConfig:
+        """Return the configuration of one run."""
+        config = replace(
+            preset_config(variant),
+            seed=seed,
+            evaluate_every=self.curve_every,
+            checkpoint_every=min(self.curve_every, 1000),
+            # Nothing is chosen by validation here, so all training heaps are learnt on.
+            validation_heaps=0,
+            held_out_heaps=self.curve_heaps,
+        )
+        if not config.imitation.updates:
+            return replace(config, actions=self.actions)
+        imitation = replace(
+            config.imitation, updates=self.imitation_updates, executed_actions=self.actions
+        )
+        return replace(config, imitation=imitation)
+
+    @property
+    def imitators(self) -> tuple[str, ...]:
+        """The variants that need demonstrations."""
+        return tuple(v for v in self.variants if preset_config(v).imitation.updates)
+
+
+QUICK = SweepPlan(
+    experiment="quick",
+    objects="household",
+    generate_single=60,
+    generate_dual=60,
+    variants=("method", "ddpg", "plus"),
+    seeds=(0, 1),
+    actions=600,
+    curve_heaps=12,
+    curve_every=300,
+    final_heaps=24,
+    demonstrations=30,
+    imitation_updates=400,
+    grasps=False,
+)
+"""A small version of everything, in a quarter of an hour: too small to judge the method by."""
+
+
+def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
+    """Write a plan into a new folder, or check that the folder is of the same plan.
+
+    Raises:
+        MechSearchError: If the folder is of another plan, naming what differs, or of no sweep; or
+            if heaps and objects do not fit the plan.
+    """
+    found = _described(plan, {c: _checked(plan, c) for c in plan.conditions})
+    if not folder.plan.exists():
+        others = [file.name for file in folder.path.iterdir() if not file.name.startswith(".")]
+        if others:
+            raise MechSearchError(
+                f"{folder.path} holds {', '.join(sorted(others)[:5])} and no {folder.plan.name}; "
+                "name a new folder"
+            )
+        write_json(folder.plan, found)
+        return
+    kept = _read(folder)
+    names = [name for name in {**kept, **found} if kept.get(name) != found.get(name)]
+    # The heap sets are compared by their content, wherever they lie.
+    names = [name for name in names if not name.startswith("heaps_")]
+    if names:
+        told = [f"{n} was {kept.get(n)!r} and is {found.get(n)!r}" for n in names]
+        raise MechSearchError(f"{folder.path} holds a sweep of another plan: {'; '.join(told)}")
+
+
+def read_plan(folder: SweepFolder) -> SweepPlan:
+    """Return the plan of a sweep.
+
+    Raises:
+        MechSearchError: If there is none, or it is damaged.
+    """
+    known = {field.name for field in fields(SweepPlan)}
+    return record_from_json(
+        SweepPlan, {name: value for name, value in _read(folder).items() if name in known}
+    )
+
+
+def described(plan: SweepPlan) -> Sequence[tuple[str, str]]:
+    """Return the plan in words: name and value of each choice that is made."""
+    values = [(field.name.replace("_", " "), getattr(plan, field.name)) for field in fields(plan)]
+    return [(name, _text(value)) for name, value in values if value not in ("", ())]
+
+
+def _text(value: Any) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _read(folder: SweepFolder) -> dict[str, Any]:
+    found: dict[str, Any] = read_json(folder.plan, "plan of a sweep")
+    return found
+
+
+def _described(plan: SweepPlan, heap_sets: dict[str, str]) -> dict[str, Any]:
+    content = {**asdict(plan), "heap_sets": heap_sets, "version": version("mechsearch")}
+    # As it will be read back: lists for tuples.
+    plain: dict[str, Any] = json.loads(json.dumps(content))
+    return plain
+
+
+def _checked(plan: SweepPlan, condition: str) -> str:
+    """Return the hash of the heap set that is given, or "generated", if it fits the plan."""
+    file = plan.heap_file(condition)
+    if not file:
+        object_set(plan.generated(condition).objects)
+        half = plan.generated(condition).heaps // 2
+        _check_sizes(plan, f"the {condition} heaps that are generated", half, half)
+        return "generated"
+    heap_set = load(Path(file))
+    _check_condition(heap_set, condition, file)
+    check_objects(heap_set, object_set(plan.objects or str(heap_set.manifest["config"]["objects"])))
+    _check_sizes(plan, file, len(heap_set.train), len(heap_set.held_out))
+    return heap_set.hash
+
+
+def _check_condition(heap_set: HeapSet, condition: str, file: str) -> None:
+    found = heap_set.manifest["config"]["condition"]
+    if found != condition:
+        raise MechSearchError(f"{file} holds {found} heaps; expected {condition} ones")
+
+
+def _check_sizes(plan: SweepPlan, file: str, training: int, held_out: int) -> None:
+    needed = {"final_heaps": held_out, "curve_heaps": held_out}
+    if plan.imitators:
+        needed["demonstrations"] = training
+    for name, there in needed.items():
+        if getattr(plan, name) > there:
+            kind = "training" if name == "demonstrations" else "held-out"
+            raise MechSearchError(
+                f"{name} is {getattr(plan, name)}, but {file} has {there} {kind} heaps"
+            )

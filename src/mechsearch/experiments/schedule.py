@@ -1,0 +1,55 @@
+"""The jobs of a plan, and in which order they are carried out."""
+
+from collections.abc import Collection, Sequence
+
+from mechsearch.experiments.folder import SweepFolder
+from mechsearch.experiments.job import Job
+from mechsearch.experiments.plan import SweepPlan
+from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE, Demonstrations, Heaps
+from mechsearch.experiments.trials import Grasp, ReferenceScoring, RunScoring, Training
+
+Chain = tuple[Job, ...]
+"""Jobs that are carried out one after another by the same worker."""
+
+
+def chains_of(plan: SweepPlan, folder: SweepFolder, grasp: Grasp | None = None) -> list[Chain]:
+    """Return all jobs of a plan, a run and its evaluation in one chain.
+
+    What others need comes first. Runs come seed by seed, so that a sweep that is cut off has
+    compared all variants on some seeds, rather than some variants on all seeds.
+    """
+    chains: list[Chain] = []
+    for condition in plan.conditions:
+        if not plan.heap_file(condition):
+            chains.append((Heaps(plan, folder, condition),))
+    for condition in plan.conditions:
+        for policy in plan.references:
+            chains.append((ReferenceScoring(plan, folder, condition, grasp, policy),))
+        for first in range(0, plan.demonstrations if plan.imitators else 0, DEMONSTRATED_AT_ONCE):
+            chains.append((Demonstrations(plan, folder, condition, first),))
+    for seed in plan.seeds:
+        for variant in plan.variants:
+            for condition in plan.conditions:
+                run = Training(plan, folder, condition, variant, seed)
+                chains.append((run, RunScoring(plan, folder, condition, grasp, run)))
+    return chains
+
+
+def next_wave(chains: Sequence[Chain], done: Collection[str], tried: set[Chain]) -> list[Chain]:
+    """Return the chains to carry out next: what others wait for, or else all that need not wait.
+
+    Args:
+        chains: All, in their order.
+        done: Names of the jobs that are done.
+        tried: Chains that were carried out, whether or not they failed.
+    """
+    left = [c for c in chains if c not in tried and not all(job.name in done for job in c)]
+    ready = [chain for chain in left if _needs(chain) <= set(done)]
+    needed = {name for chain in left for name in _needs(chain)} - set(done)
+    first = [chain for chain in ready if any(job.name in needed for job in chain)]
+    return first or ready
+
+
+def _needs(chain: Chain) -> set[str]:
+    """Return the names of the jobs of other chains that a chain needs."""
+    return {name for job in chain for name in job.after} - {job.name for job in chain}

@@ -1,0 +1,296 @@
+"""Training runs and final evaluations."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from mechsearch.agent.policy import ACTOR_FILE, load_actor
+from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.policies import LOOK_AHEAD
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
+from mechsearch.experiments.curves import write_curves
+from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
+from mechsearch.experiments.job import Job
+from mechsearch.experiments.plan import SweepPlan
+from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
+from mechsearch.runs import read_json, write_json
+from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.train.config import TrainConfig, load_config
+from mechsearch.train.trial import INPUTS_FILE, TrialInputs, run_trial
+from mechsearch.types import MechSearchError
+
+Grasp = Callable[[Evaluation], Evaluation]
+"""Adds to the episodes what a gripper could do with their targets; must pickle."""
+
+
+@dataclass(frozen=True)
+class Training(Job):
+    """One training run.
+
+    Attributes:
+        variant: What is trained.
+        seed: Of everything random in it.
+    """
+
+    variant: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Such as "single/method-seed0"."""
+        return f"{self.condition}/{self.variant}-seed{self.seed}"
+
+    @property
+    def kind(self) -> str:
+        """A run by reinforcement or by imitation."""
+        return "imitation runs" if self.variant in self.plan.imitators else "training runs"
+
+    @property
+    def after(self) -> tuple[str, ...]:
+        """The heaps, and for variants that imitate all demonstrations."""
+        if self.variant not in self.plan.imitators:
+            return super().after
+        chunks = range(0, self.plan.demonstrations, DEMONSTRATED_AT_ONCE)
+        shown = tuple(f"{self.condition}/demonstrations-{first:04d}" for first in chunks)
+        return (*super().after, *shown)
+
+    @property
+    def cost(self) -> float:
+        """Actions and updates, and the points of the curve."""
+        points = 1 + self.plan.actions // self.plan.curve_every
+        learning = 0.065 * self.plan.actions
+        if self.variant in self.plan.imitators:
+            learning = 0.07 * self.plan.imitation_updates + 0.08 * self.plan.actions
+        return learning + 0.35 * self.plan.curve_heaps * points
+
+    @property
+    def directory(self) -> Path:
+        """Its run directory."""
+        return self.folder.run(self.condition, self.variant, self.seed)
+
+    @property
+    def config(self) -> TrainConfig:
+        """Its configuration."""
+        return self.plan.config(self.variant, self.seed)
+
+    def is_done(self) -> bool:
+        """Return whether the run is over, and its actor the one that it ended with."""
+        self._check_directory()
+        file = self.directory / FINISHED_FILE
+        if not file.exists():
+            return False
+        finished = read_json(file, "record of a finished run")
+        actor = self.directory / ACTOR_FILE
+        if not actor.exists() or finished.get("actor") != _digest(actor):
+            raise MechSearchError(
+                f"{actor} is not what the run ended with; delete {file} to go on from the run's "
+                "last checkpoint"
+            )
+        return True
+
+    def _check_directory(self) -> None:
+        """Refuse a directory that holds something else.
+
+        Raises:
+            MechSearchError: If it does.
+        """
+        if not self.directory.exists():
+            return
+        if not (self.directory / CONFIG_FILE).exists():
+            found = {file.name for file in self.directory.iterdir() if file.name[0] != "."}
+            if found - {INPUTS_FILE}:
+                raise MechSearchError(
+                    f"{self.directory} holds {', '.join(sorted(found)[:5])} and no {CONFIG_FILE}: "
+                    "it is no run of this sweep; move it away"
+                )
+            return
+        if load_config(self.directory / CONFIG_FILE) != self.config:
+            raise MechSearchError(
+                f"{self.directory} holds a run of another configuration than this sweep's; move it "
+                "away"
+            )
+        began = read_json(self.directory / INPUTS_FILE, "record of a run's inputs")
+        if self.heaps.exists() and began.get("heap_set") != self.heap_set.hash:
+            raise MechSearchError(
+                f"{self.directory} holds a run on other heaps than this sweep's; move it away"
+            )
+
+    def carry_out(self) -> None:
+        """Train, from the last checkpoint if there is one, and renew the table of curves."""
+        shown = self.folder.demonstrations(self.condition)
+        imitates = self.variant in self.plan.imitators
+        inputs = TrialInputs(self.heaps, self.plan.objects, shown if imitates else None)
+        resume = (self.directory / CONFIG_FILE).exists()
+        run_trial(self.config, inputs, self.directory, resume)
+        done = {
+            "actor": _digest(self.directory / ACTOR_FILE),
+            "training_actions": load_actor(self.directory).training_actions,
+        }
+        write_json(self.directory / FINISHED_FILE, done)
+        write_curves(self.folder.curves, finished_runs(self.plan, self.folder))
+
+
+def finished_runs(plan: SweepPlan, folder: SweepFolder) -> Iterator[Path]:
+    """Yield the directories of the runs of a plan that are over, and no foreign ones."""
+    for condition, variant, seed in product(plan.conditions, plan.variants, plan.seeds):
+        run = Training(plan, folder, condition, variant, seed)
+        with suppress(MechSearchError):
+            if run.is_done():
+                yield run.directory
+
+
+@dataclass(frozen=True)
+class Scoring(Job):
+    """A final evaluation on held-out heaps.
+
+    Attributes:
+        grasp: What measures graspability and retrieval, where the plan asks for it.
+    """
+
+    grasp: Grasp | None
+
+    @property
+    def name(self) -> str:
+        """Such as "single/scores of idle"."""
+        return f"{self.condition}/scores of {self._label}"
+
+    @property
+    def kind(self) -> str:
+        """Scores."""
+        return "scores"
+
+    @property
+    def cost(self) -> float:
+        """A third of a second for each heap, seconds where pushes or grasps are tried."""
+        planning = 2.5 if self._policy == LOOK_AHEAD else 0.0
+        return self.plan.final_heaps * (0.35 + planning + 1.5 * self.plan.grasps)
+
+    @property
+    def _label(self) -> str:
+        raise NotImplementedError
+
+    @property
+    def _policy(self) -> str:
+        raise NotImplementedError
+
+    @property
+    def _expected(self) -> dict[str, Any]:
+        """What the header of the recorded episodes must say."""
+        return {
+            "heap_set": self.heap_set.hash,
+            "split": "held-out",
+            "heaps": self.plan.final_heaps,
+            "seed": 0,
+        }
+
+    def files(self) -> list[Path]:
+        """Return the recorded episodes that are there; more than one are too many."""
+        return sorted(self.folder.evaluations(self.condition).glob(f"{self._label}.npz"))
+
+    def recorded(self) -> Evaluation | None:
+        """Return the recorded episodes, if they are there.
+
+        Raises:
+            MechSearchError: If they are damaged, or not of this sweep.
+        """
+        files = self.files()
+        if not files or not self.heaps.exists():
+            return None
+        if len(files) > 1:
+            names = ", ".join(file.name for file in files)
+            raise MechSearchError(f"{files[0].parent} holds {names}; expected one of them")
+        evaluation = episodes.load(files[0])
+        for key, value in self._expected.items():
+            if evaluation.header.get(key) != value:
+                raise MechSearchError(
+                    f"{files[0]} is not of this sweep: its {key.replace('_', ' ')} is "
+                    f"{evaluation.header.get(key)!r}; expected {value!r}; move it away"
+                )
+        if self.plan.grasps and "grasp_network" not in evaluation.header:
+            raise MechSearchError(f"{files[0]} is without grasps; move it away")
+        return evaluation
+
+    def is_done(self) -> bool:
+        """Return whether the episodes are recorded."""
+        return self.recorded() is not None
+
+    def carry_out(self) -> None:
+        """Record the episodes, and enter their scores into the summary."""
+        evaluation = evaluate(
+            EvaluationPlan(
+                self._policy, self.heaps, objects=self.plan.objects, limit=self.plan.final_heaps
+            )
+        )
+        if self.plan.grasps:
+            if self.grasp is None:
+                raise MechSearchError("the plan asks for grasps, and nothing to measure them given")
+            evaluation = self.grasp(evaluation)
+        place = self.folder.evaluations(self.condition)
+        episodes.save(place / f"{file_name(evaluation)}.npz", evaluation)
+        summary.merge(self.folder.summary, summary.rows_of(self.plan.experiment, evaluation))
+
+
+@dataclass(frozen=True)
+class ReferenceScoring(Scoring):
+    """The evaluation of a policy that is not trained.
+
+    Attributes:
+        policy: As `make_policy` knows it.
+    """
+
+    policy: str
+
+    @property
+    def _label(self) -> str:
+        return self.policy
+
+    @property
+    def _policy(self) -> str:
+        return self.policy
+
+
+@dataclass(frozen=True)
+class RunScoring(Scoring):
+    """The evaluation of the actor that a run ended with.
+
+    Attributes:
+        training: The run.
+    """
+
+    training: Training
+
+    @property
+    def name(self) -> str:
+        """Such as "single/scores of method-seed0"."""
+        return f"{self.condition}/scores of {self.training.variant}-seed{self.training.seed}"
+
+    @property
+    def after(self) -> tuple[str, ...]:
+        """The run."""
+        return (self.training.name,)
+
+    @property
+    def _label(self) -> str:
+        return f"{self.training.variant}-seed{self.training.seed}-[0-9]*"
+
+    @property
+    def _policy(self) -> str:
+        return str(self.training.directory)
+
+    @property
+    def _expected(self) -> dict[str, Any]:
+        run = {"name": self.training.variant, "training_seed": self.training.seed}
+        file = self.training.directory / FINISHED_FILE
+        if file.exists():
+            finished = read_json(file, "record of a finished run")
+            run["training_actions"] = finished["training_actions"]
+        return super()._expected | run
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,140 @@
+"""A training run from files, and the record of what it was made from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mechsearch.env.heap_env import HeapEnv
+from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.parallel import Progress, silent
+from mechsearch.runs import read_json, write_json
+from mechsearch.train.assemble import assemble
+from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.train.collector import Env
+from mechsearch.train.config import TrainConfig
+from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
+from mechsearch.train.expert import LookAheadExpert
+from mechsearch.train.imitate import Expert, imitate
+from mechsearch.train.loop import train
+from mechsearch.types import MechSearchError
+
+INPUTS_FILE = "inputs.json"
+"""What a run was made from, beside its configuration, so that it can go on by itself."""
+
+
+@dataclass(frozen=True)
+class TrialInputs:
+    """What a run is made from.
+
+    Attributes:
+        heaps: Heap set (.parquet); its training half is learnt on.
+        objects: Object set; empty takes the one that the heaps name.
+        demonstrations: Folder that `demonstrate` wrote, for variants that imitate.
+    """
+
+    heaps: Path
+    objects: str = ""
+    demonstrations: Path | None = None
+
+    @classmethod
+    def of_run(cls, directory: Path) -> "TrialInputs":
+        """Return what a run was made from.
+
+        Raises:
+            MechSearchError: If it has no record of that.
+        """
+        record = read_json(directory / INPUTS_FILE, "record of a run's inputs")
+        shown = record["demonstrations"]
+        return cls(Path(record["heaps"]), record["objects"], Path(shown) if shown else None)
+
+
+def run_trial(
+    config: TrainConfig,
+    inputs: TrialInputs,
+    directory: Path,
+    resume: bool = False,
+    progress: Progress = silent,
+) -> dict[str, float]:
+    """Train or imitate, and write the run directory; return the last evaluation.
+
+    Args:
+        config: The run.
+        inputs: What it is made from.
+        directory: Where it is written.
+        resume: Go on from the last checkpoint.
+        progress: Told after each action or update.
+
+    Raises:
+        MechSearchError: If the inputs do not fit, or the directory holds another run.
+    """
+    heap_set = load(inputs.heaps)
+    objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
+    check_objects(heap_set, objects)
+    shown = _demonstrations(config, inputs, heap_set)
+    _record(inputs, heap_set, directory, resume)
+    parts = assemble(config, heap_set, objects)
+    if shown is None:
+        return train(config, parts, directory, resume, progress)
+    return imitate(config, shown, directory, parts, _expert_for(parts.env), resume, progress)
+
+
+def _demonstrations(
+    config: TrainConfig, inputs: TrialInputs, heap_set: HeapSet
+) -> list[Demonstration] | None:
+    """Return what is to be imitated, or None where the variant does not imitate.
+
+    Raises:
+        MechSearchError: If demonstrations are missing, not asked for, or of other heaps.
+    """
+    imitation = config.imitation
+    if bool(imitation.updates) != bool(inputs.demonstrations):
+        raise MechSearchError(
+            f"{config.name} imitates; give it --demonstrations, a folder that "
+            "`mechsearch demonstrate` wrote"
+            if imitation.updates
+            else f"{config.name} does not imitate; leave --demonstrations out"
+        )
+    if inputs.demonstrations is None:
+        return None
+    store = DemonstrationStore(inputs.demonstrations)
+    if store.facts().get("heap_set") != heap_set.hash:
+        raise MechSearchError(
+            f"the demonstrations at {inputs.demonstrations} are of other heaps than {inputs.heaps}"
+        )
+    return store.read_all(imitation.demonstrations)
+
+
+def _record(inputs: TrialInputs, heap_set: HeapSet, directory: Path, resume: bool) -> None:
+    """Write what the run is made from, or check that it is made from the same.
+
+    Raises:
+        MechSearchError: If a run that goes on began with other heaps.
+    """
+    file = directory / INPUTS_FILE
+    if resume:
+        began = read_json(file, "record of a run's inputs")["heap_set"]
+        if began != heap_set.hash:
+            raise MechSearchError(
+                f"{directory} began with the heap set {began[:12]}..., and {inputs.heaps} is "
+                f"{heap_set.hash[:12]}...; go on with the same"
+            )
+    elif not (directory / CONFIG_FILE).exists():
+        shown = inputs.demonstrations
+        record = {
+            "heaps": str(inputs.heaps.resolve()),
+            "heap_set": heap_set.hash,
+            "objects": inputs.objects or str(heap_set.manifest["config"]["objects"]),
+            "demonstrations": str(shown.resolve()) if shown else None,
+        }
+        write_json(file, record)
+
+
+def _expert_for(task: Env) -> Expert:
+    """Return the look-ahead expert for corrections in an environment over heaps."""
+    look_ahead = LookAheadExpert(_over_heaps(task))
+    return lambda env: look_ahead(_over_heaps(env))
+
+
+def _over_heaps(env: Env) -> HeapEnv:
+    if not isinstance(env, HeapEnv):
+        raise MechSearchError(f"the expert plans over heaps, not in a {type(env).__name__}")
+    return env

@@ -1,0 +1,305 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+
+from mechsearch.cli import main
+from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.metrics import METRICS
+from mechsearch.experiments.carry_out import carry_out
+from mechsearch.experiments.folder import SweepFolder
+from mechsearch.experiments.journal import BEGAN, Journal
+from mechsearch.experiments.plan import open_plan
+from mechsearch.experiments.status import DONE, FAILED, RUNNING, WAITING, status_of
+from mechsearch.experiments.trials import ReferenceScoring
+from mechsearch.parallel import map_long_work
+from mechsearch.runs import locked
+from mechsearch.types import MechSearchError
+
+TABLES = ("summary.csv", "curves.csv")
+
+
+def began(path):
+    return Counter(
+        r["job"] for r in Journal(SweepFolder(path).journal).records() if r["event"] == BEGAN
+    )
+
+
+def states(status):
+    return {s.job.name: s.state for s in status.jobs}
+
+
+def reasons(status):
+    return {s.job.name: s.reason for s in status.jobs if s.state == FAILED}
+
+
+@pytest.fixture(scope="module")
+def whole(tiny, tmp_path_factory):
+    """A sweep that was never interrupted."""
+    path = tmp_path_factory.mktemp("sweeps") / "whole"
+    told = []
+    return path, carry_out(tiny, path, tell=told.append)
+
+
+@pytest.fixture
+def few(tiny):
+    """References alone: seconds."""
+    return replace(tiny, variants=(), seeds=(), references=("idle", "random"))
+
+
+def test_every_job_is_done_and_every_result_is_where_the_layout_says(whole, tiny):
+    path, status = whole
+    assert set(states(status).values()) == {DONE}
+    names = {file.relative_to(path / "single").as_posix() for file in path.rglob("*.npz")}
+    scored = {name for name in names if name.startswith("evaluations")}
+    *others, plus = sorted(scored, key=lambda name: "plus" in name)
+    assert sorted(others) == [
+        "evaluations/idle.npz",
+        "evaluations/method-seed0-60.npz",
+        "evaluations/teacher-straight.npz",
+    ]
+    assert plus.startswith("evaluations/plus-seed0-")
+    assert (path / "single/runs/method-seed0/actor.safetensors").exists()
+    assert json.loads((path / "sweep.json").read_text())["actions"] == tiny.actions
+
+
+def test_the_summary_holds_every_metric_of_every_policy_once(whole):
+    rows = summary.read(whole[0] / "summary.csv")
+    assert Counter(row.variant for row in rows) == dict.fromkeys(
+        ("idle", "method", "plus", "teacher-straight"), len(METRICS)
+    )
+    assert {row.experiment for row in rows} == {"tiny"}
+
+
+def test_curves_begin_with_the_untrained_actor_and_have_intervals_over_heaps(whole):
+    head, *lines = (whole[0] / "curves.csv").read_text().splitlines()
+    assert head == "condition,variant,seed,step,metric,mean,ci_low,ci_high,heaps"
+    cells = [line.split(",") for line in lines]
+    rewards = [c for c in cells if c[1] == "method" and c[4] == "reward"]
+    assert [int(c[3]) for c in rewards] == [0, 20, 40, 60]
+    assert all(float(c[6]) <= float(c[5]) <= float(c[7]) for c in rewards)
+    assert {c[8] for c in cells} == {"2"}
+    assert {c[1] for c in cells} == {"method", "plus"}
+
+
+def test_what_is_finished_is_not_repeated(whole, tiny):
+    path, _ = whole
+    before = began(path)
+    results = [f for f in path.rglob("*") if f.suffix in (".npz", ".safetensors")]
+    times = [file.stat().st_mtime_ns for file in results]
+    tables = [(path / name).read_bytes() for name in TABLES]
+    assert set(states(carry_out(tiny, path)).values()) == {DONE}
+    assert began(path) == before == dict.fromkeys(before, 1)
+    assert [file.stat().st_mtime_ns for file in results] == times
+    assert [(path / name).read_bytes() for name in TABLES] == tables
+
+
+def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):
+    path, _ = whole
+    tables = [(path / name).read_bytes() for name in TABLES]
+    for name in TABLES:
+        (path / name).unlink()
+    carry_out(tiny, path)
+    assert [(path / name).read_bytes() for name in TABLES] == tables
+
+
+KILLED = """
+import json, sys
+from pathlib import Path
+from mechsearch.agent.records import record_from_json
+from mechsearch.experiments.carry_out import carry_out
+from mechsearch.experiments.plan import SweepPlan
+if __name__ == "__main__":
+    plan = record_from_json(SweepPlan, json.loads(sys.argv[1]))
+    carry_out(plan, Path(sys.argv[2]))
+"""
+
+
+def test_a_killed_sweep_goes_on_and_gives_the_same_bytes(whole, tiny, tmp_path):
+    script, path = tmp_path / "killed.py", tmp_path / "killed"
+    script.write_text(KILLED)
+    words = [sys.executable, str(script), json.dumps(asdict(tiny)), str(path)]
+    process = subprocess.Popen(words)
+    deadline = time.monotonic() + 200
+    try:
+        while not list(path.glob("single/runs/method-seed0/checkpoints/step-*.safetensors")):
+            assert process.poll() is None, "the sweep ended before it was killed"
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert not (path / "single/evaluations/method-seed0-60.npz").exists()
+    # The lock has died with its holder.
+    status = carry_out(tiny, path)
+    assert set(states(status).values()) == {DONE}
+    for name in TABLES:
+        assert (path / name).read_bytes() == (whole[0] / name).read_bytes(), name
+    for name in ("metrics.jsonl", "actor.safetensors"):
+        run = Path("single/runs/method-seed0") / name
+        assert (path / run).read_bytes() == (whole[0] / run).read_bytes(), name
+
+
+def test_another_plan_on_the_same_folder_is_refused_and_told_apart(few, tmp_path):
+    carry_out(few, tmp_path / "sweep")
+    before = (tmp_path / "sweep/sweep.json").read_bytes()
+    with pytest.raises(MechSearchError, match=r"another plan: final_heaps was 3 and is 4"):
+        carry_out(replace(few, final_heaps=4), tmp_path / "sweep")
+    assert (tmp_path / "sweep/sweep.json").read_bytes() == before
+
+
+def test_a_folder_of_something_else_is_refused(few, tmp_path):
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(MechSearchError, match=r"holds thesis.tex and no sweep.json"):
+        carry_out(few, tmp_path)
+
+
+def test_a_second_sweep_on_a_folder_is_refused_while_the_first_is_at_work(few, tmp_path):
+    with locked(SweepFolder(tmp_path).lock), pytest.raises(MechSearchError, match="another sweep"):
+        carry_out(few, tmp_path)
+    assert set(states(carry_out(few, tmp_path)).values()) == {DONE}
+
+
+def test_a_foreign_run_directory_is_named_and_the_others_go_on(tiny, tmp_path, capsys):
+    plan, sweep = replace(tiny, variants=("method",), references=("idle",)), tmp_path / "sweep"
+    carry_out(replace(plan, actions=61), tmp_path / "longer")
+    planned(plan, sweep)
+    (sweep / "single/runs").mkdir(parents=True)
+    run = Path("single/runs/method-seed0")
+    os.rename(tmp_path / "longer" / run, sweep / run)
+    status = carry_out(plan, sweep)
+    assert "a run of another configuration" in reasons(status)["single/method-seed0"]
+    assert states(status)["single/scores of method-seed0"] == WAITING
+    assert states(status)["single/scores of idle"] == DONE
+    with pytest.raises(SystemExit) as stopped:
+        main(["sweep", "--out", str(sweep), "--workers", "1"])
+    assert stopped.value.code == 1
+    said = capsys.readouterr().out
+    assert "failed: single/method-seed0: " in said
+    assert "waiting: single/scores of method-seed0 needs single/method-seed0" in said
+    assert (sweep / "curves.csv").read_text().count("\n") == 1
+
+
+def planned(plan, path):
+    """Write the plan, and do nothing of it."""
+    path.mkdir(exist_ok=True)
+    open_plan(plan, SweepFolder(path))
+
+
+def test_a_run_directory_without_its_configuration_is_refused(tiny, tmp_path):
+    plan = replace(tiny, variants=("method",), references=())
+    planned(plan, tmp_path)
+    run = tmp_path / "single/runs/method-seed0"
+    run.mkdir(parents=True)
+    (run / "actor.safetensors").write_bytes(b"?")
+    status = carry_out(plan, tmp_path)
+    assert "holds actor.safetensors and no config.json" in reasons(status)["single/method-seed0"]
+
+
+def test_damaged_and_foreign_episodes_are_named_and_enter_no_table(few, tmp_path):
+    carry_out(few, tmp_path)
+    place = tmp_path / "single/evaluations"
+    damaged = bytearray((place / "idle.npz").read_bytes())
+    damaged[len(damaged) // 2] ^= 4
+    (place / "idle.npz").write_bytes(bytes(damaged))
+    other = episodes.load(place / "random.npz")
+    episodes.save(place / "random.npz", Evaluation({**other.header, "heaps": 2}, other.episodes))
+    (tmp_path / "summary.csv").unlink()
+    found = reasons(carry_out(few, tmp_path))
+    assert "damaged" in found["single/scores of idle"]
+    assert "its heaps is 2; expected 3" in found["single/scores of random"]
+    assert not (tmp_path / "summary.csv").exists()
+
+
+def test_a_job_that_raises_twice_is_reported_with_its_reason(few, tmp_path, monkeypatch):
+    tries = []
+
+    def carry_out_job(self):
+        tries.append(self.name)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(ReferenceScoring, "carry_out", carry_out_job)
+    status = carry_out(few, tmp_path)
+    assert Counter(tries) == {"single/scores of idle": 2, "single/scores of random": 2}
+    assert all("No space left on device" in reason for reason in reasons(status).values())
+    monkeypatch.undo()
+    assert set(states(carry_out(few, tmp_path)).values()) == {DONE}
+
+
+def test_a_full_disk_stops_the_sweep_with_a_clear_error(few, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mechsearch.experiments.journal.append_line", full)
+    with pytest.raises(MechSearchError, match=r"has stopped: .*No space left.*goes on from here"):
+        carry_out(few, tmp_path)
+    monkeypatch.undo()
+    assert set(states(carry_out(few, tmp_path)).values()) == {DONE}
+
+
+@dataclass(frozen=True)
+class DeadlyGrasp:
+    """Kills its process, as a lack of memory would, the first time or always."""
+
+    folder: Path
+    always: bool = False
+
+    def __call__(self, evaluation):
+        mark = self.folder / f"{evaluation.header['name']}.killed"
+        if self.always or not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Evaluation({**evaluation.header, "grasp_network": "none"}, evaluation.episodes)
+
+
+def test_a_killed_worker_costs_the_repetition_of_its_job(few, tmp_path):
+    plan = replace(few, references=("idle",), grasps=True)
+    deadly = DeadlyGrasp(tmp_path)
+    status = carry_out(plan, tmp_path / "sweep", 2, map_long_work, deadly)
+    assert states(status) == {"single/scores of idle": DONE}
+    assert began(tmp_path / "sweep")["single/scores of idle"] == 2
+
+
+def test_a_job_that_kills_two_workers_is_reported(few, tmp_path):
+    plan = replace(few, references=("idle",), grasps=True)
+    deadly = DeadlyGrasp(tmp_path, always=True)
+    status = carry_out(plan, tmp_path / "sweep", 2, map_long_work, deadly)
+    assert reasons(status) == {"single/scores of idle": "worker died"}
+
+
+def test_the_status_tells_what_is_done_running_and_waiting(few, tmp_path, capsys):
+    plan = replace(few, references=("idle", "random", "teacher-spiral"))
+    planned(plan, tmp_path)
+    journal = Journal(SweepFolder(tmp_path).journal)
+    with locked(SweepFolder(tmp_path).lock):
+        journal.begin(1)
+        journal.write(BEGAN, job="single/scores of random")
+        assert states(status_of(SweepFolder(tmp_path))) == {
+            "single/scores of idle": WAITING,
+            "single/scores of random": RUNNING,
+            "single/scores of teacher-spiral": WAITING,
+        }
+    # Nobody holds the lock: whoever was at it is gone.
+    assert set(states(status_of(SweepFolder(tmp_path))).values()) == {WAITING}
+    main(["sweep", "--out", str(tmp_path), "--status"])
+    assert "0 of 3 jobs done" in capsys.readouterr().out
+    carry_out(plan, tmp_path)
+    assert status_of(SweepFolder(tmp_path)).line == "3 of 3 jobs done"
+
+
+def test_the_status_of_no_sweep_is_an_error(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["sweep", "--out", str(tmp_path / "absent"), "--status"])
+    assert stopped.value.code == 2
+    assert "no plan of a sweep at" in capsys.readouterr().err
+    assert not (tmp_path / "absent").exists()
