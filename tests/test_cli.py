@@ -241,7 +241,15 @@ def test_a_run_is_trained_continued_and_evaluated(
     words += ["--warmup", "8", "--validation-heaps", "1", "--evaluate-every", "12", "--seed", "5"]
     main(words)
     assert "holds a run already" in failure(words, capsys)
+    capsys.readouterr()
+    main(["train", "--resume", str(run), "--actions", "13"])
+    assert "it went on with" not in capsys.readouterr().out
+    inputs = json.loads((run / "inputs.json").read_text())
+    assert len(inputs["fingerprints"]) == 1
+    inputs["fingerprints"][0]["torch"] = "2.0.0"
+    (run / "inputs.json").write_text(json.dumps(inputs))
     main(["train", "--resume", str(run), "--actions", "14"])
+    assert "instead of 2.0.0: not the bits of a run" in capsys.readouterr().out
     assert json.loads((run / "config.json").read_text())["actions"] == 14
     out = tmp_path / "evaluations"
     table = tmp_path / "summary.csv"

@@ -14,7 +14,7 @@ from mechsearch.heaps.dataset import load
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import PRESETS, TrainConfig, load_config, preset_config
 from mechsearch.train.expert import DemonstrateConfig, demonstrate, failed
-from mechsearch.train.trial import TrialInputs, run_trial
+from mechsearch.train.trial import TrialInputs, crossings, run_trial
 from mechsearch.types import MechSearchError
 
 
@@ -72,6 +72,9 @@ class Train(Command):
         if scores:
             shown = [f"{name} {scores[name]:.3g}" for name in METRICS if name in scores]
             say(f"last evaluation: {', '.join(shown)}")
+        others = crossings(self.out)
+        if others:
+            say(f"it went on with {', '.join(others)}: not the bits of a run that never stopped")
         wrote(self.out)
 
 

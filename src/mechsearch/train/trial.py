@@ -1,9 +1,12 @@
 """A training run from files, and the record of what it was made from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from mechsearch.env.heap_env import HeapEnv
+from mechsearch.fingerprint import crossed, fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Progress, silent
 from mechsearch.runs import read_json, write_json
@@ -19,6 +22,8 @@ from mechsearch.types import MechSearchError
 
 INPUTS_FILE = "inputs.json"
 """What a run was made from, beside its configuration, so that it can go on by itself."""
+
+_HISTORY = "fingerprints"
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ def run_trial(
     objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
     check_objects(heap_set, objects)
     shown = _demonstrations(config, inputs, heap_set)
-    _record(inputs, heap_set, directory, resume)
+    _record(inputs, heap_set, directory, resume, fingerprint(config.threads))
     parts = assemble(config, heap_set, objects)
     if shown is None:
         return train(config, parts, directory, resume, progress)
@@ -103,20 +108,37 @@ def _demonstrations(
     return store.read_all(imitation.demonstrations)
 
 
-def _record(inputs: TrialInputs, heap_set: HeapSet, directory: Path, resume: bool) -> None:
+def crossings(directory: Path) -> list[str]:
+    """Return what a run went on with instead of what it began with; see `fingerprint.crossed`."""
+    history = read_json(directory / INPUTS_FILE, "record of a run's inputs").get(_HISTORY, [])
+    return [text for before, now in pairwise(history) for text in crossed(before, now)]
+
+
+def _record(
+    inputs: TrialInputs,
+    heap_set: HeapSet,
+    directory: Path,
+    resume: bool,
+    now: Mapping[str, str],
+) -> None:
     """Write what the run is made from, or check that it is made from the same.
+
+    A run that goes on with other versions or on another processor keeps a record of them too.
 
     Raises:
         MechSearchError: If a run that goes on began with other heaps.
     """
     file = directory / INPUTS_FILE
     if resume:
-        began = read_json(file, "record of a run's inputs")["heap_set"]
+        record = read_json(file, "record of a run's inputs")
+        began, history = record["heap_set"], record.get(_HISTORY, [])
         if began != heap_set.hash:
             raise MechSearchError(
                 f"{directory} began with the heap set {began[:12]}..., and {inputs.heaps} is "
                 f"{heap_set.hash[:12]}...; go on with the same"
             )
+        if history[-1:] != [now]:
+            write_json(file, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
         shown = inputs.demonstrations
         record = {
@@ -124,6 +146,7 @@ def _record(inputs: TrialInputs, heap_set: HeapSet, directory: Path, resume: boo
             "heap_set": heap_set.hash,
             "objects": inputs.objects or str(heap_set.manifest["config"]["objects"]),
             "demonstrations": str(shown.resolve()) if shown else None,
+            _HISTORY: [now],
         }
         write_json(file, record)
 
