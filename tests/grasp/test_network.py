@@ -1,3 +1,4 @@
+import hashlib
 import json
 
 import numpy as np
@@ -6,8 +7,9 @@ import torch
 from PIL import Image
 
 from mechsearch.camera import Camera
-from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
+from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, ready, save_network
 from mechsearch.grasp.policy import rate
+from mechsearch.grasp.quality import ceiling
 from mechsearch.grasp.view import view_of_image
 from mechsearch.types import MechSearchError
 
@@ -82,3 +84,23 @@ def test_readiness_changes_no_weight():
     before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
     for name, tensor in ready(network).state_dict().items():
         assert torch.equal(tensor, before[name])
+
+
+def test_the_shipped_network_is_the_one_of_its_card():
+    card = json.loads(SHIPPED.with_suffix(".json").read_text())
+    assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() == card["sha256"]
+    assert card["held_out"]["average_precision"] > 0.7
+    assert card["labels"]["heap_set"] == card["held_out"]["heap_set"]
+    assert {card["labels"]["config"]["split"], card["held_out"]["config"]["split"]} == {
+        "train",
+        "held-out",
+    }
+
+
+def test_the_shipped_network_knows_a_bar_from_a_plate(make_box):
+    """Jaws close over a bar 3 cm wide, and not over a plate of 16 cm."""
+    network = load_network()
+    bar, plate = make_box("bar", (0.1, 0.03, 0.03)), make_box("plate", (0.16, 0.16, 0.03))
+    pose = np.array([0, 0, 0.015, 1.0, 0, 0, 0])
+    assert ceiling(network, bar, pose).score > 0.8
+    assert ceiling(network, plate, pose).score < 0.4
