@@ -1,11 +1,14 @@
 """Hand-made episodes in which a lid slides off a cube."""
 
+import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord, save
 from mechsearch.objects.model import ObjectModel
 
 MakeEvaluation = Callable[..., Evaluation]
@@ -80,3 +83,84 @@ def evaluations(make_evaluation) -> dict[str, Evaluation]:
     return {"method": make_evaluation("method", 0.7, **trained)} | {
         name: make_evaluation(name, gain) for name, gain in gains.items()
     }
+
+
+LEARNT = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
+
+GAINS = {
+    "single": {
+        "method": 0.9,
+        "plus": 0.2,
+        "ddpg": 0.3,
+        "no-teachers": 0.4,
+        "no-asymmetry": 0.5,
+        "no-pose-input": 0.9,
+        "teacher-straight": 1.0,
+        "teacher-zigzag": 1.05,
+        "teacher-spiral": 1.1,
+        "random": 0.3,
+        "idle": 0.0,
+    }
+}
+GAINS["dual"] = GAINS["single"] | {"method": 0.75, "no-pose-input": 0.4}
+
+
+@pytest.fixture(scope="session")
+def write_sweep(make_evaluation) -> Callable[..., Path]:
+    """Writes a folder as a sweep does, of which the truth is known: how far the lid slides."""
+
+    def write(
+        folder: Path,
+        gains: Mapping[str, Mapping[str, float]] = GAINS,
+        seeds: int = 3,
+        heaps: int = 30,
+        grasps: bool = True,
+    ) -> Path:
+        plan = {"conditions": list(gains), "variants": list(LEARNT), "seeds": [*range(seeds)]}
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "sweep.json").write_text(json.dumps(plan))
+        for condition, policies in gains.items():
+            for name, gain in policies.items():
+                for seed in range(seeds if name in LEARNT else 1):
+                    _write_trial(folder / condition, name, gain + 0.01 * seed, seed, heaps, grasps)
+        return folder
+
+    def _write_trial(
+        folder: Path, name: str, gain: float, seed: int, heaps: int, grasps: bool
+    ) -> None:
+        trained = name in LEARNT
+        header = {"condition": folder.name}
+        if trained:
+            header |= {"trained": True, "training_seed": seed, "training_actions": 8000}
+            _write_run(folder / "runs" / f"{name}-seed{seed}", name, gain, seed)
+        evaluation = make_evaluation(name, gain, heaps, **header)
+        episodes = tuple(
+            replace(
+                record,
+                condition=folder.name,
+                grasp=GraspRecord(0.1, 0.1 + 0.5 * record.clutter_moved.sum(), 0.9, "", "success")
+                if grasps
+                else None,
+            )
+            for record in evaluation.episodes
+        )
+        label = f"{name}-seed{seed}-8000" if trained else name
+        save(folder / "evaluations" / f"{label}.npz", replace(evaluation, episodes=episodes))
+
+    def _write_run(folder: Path, name: str, gain: float, seed: int) -> None:
+        folder.mkdir(parents=True)
+        (folder / "config.json").write_text(json.dumps({"name": name, "seed": seed}))
+        lines = []
+        for step in (0, 4000, 8000):
+            score = {"reward": gain * step / 8000, "visibility_change": gain * step / 10000}
+            score |= {"episode_actions": 50 - gain * step / 1000}
+            lines.append({"step": step, "kind": "held_out", **score})
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        (folder / "metrics.jsonl").write_text(text)
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def sweep(write_sweep, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_sweep(tmp_path_factory.mktemp("sweep") / "all")

@@ -1,18 +1,23 @@
 """`mechsearch report`."""
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import Command, models_of, wrote
+from mechsearch.cli.command import Command, models_of, say, wrote
 from mechsearch.cli.evaluation import named
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.report import curves, page, tables
+from mechsearch.objects.model import ObjectModel
+from mechsearch.report import curves, document, experiment_report, page, tables
+from mechsearch.report.experiment import Experiment, is_experiment, read_experiment
 from mechsearch.report.intervals import draw_summary
+from mechsearch.report.pdf import write_pdf
 from mechsearch.runs import write_text
 from mechsearch.types import MechSearchError
 
@@ -21,12 +26,17 @@ from mechsearch.types import MechSearchError
 class Report(Command):
     """Write one HTML page from recorded episodes and run directories, or plot a summary.
 
+    Of a folder that `mechsearch sweep` wrote: its claims, figures, scores and failures, as a page,
+    as a PDF, and as SVG and CSV files in a folder beside them.
+
     Attributes:
-        sources: Evaluations (.npz), run directories, and folders of either; or one summary (.csv).
+        sources: A sweep's folder; or evaluations (.npz), run directories, and folders of either; or
+            one summary (.csv).
         out: Page (.html) to write, or plot (.svg) of a summary.
         title: Of the page.
         objects: Object set for the pictures; the one that the evaluations name by default.
         pictures: Whether to draw episodes.
+        pdf: The same for print, of a sweep's folder; beside the page by default.
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -34,15 +44,47 @@ class Report(Command):
     title: str = "Uncovering a target in a heap"
     objects: str = ""
     pictures: bool = True
+    pdf: Path | None = None
 
     def run(self) -> None:
         """Write the page or the plot."""
+        if any(is_experiment(source) for source in self.sources):
+            write_experiment(self)
+            return
+        if self.pdf:
+            raise MechSearchError(
+                f"--pdf {self.pdf} needs a folder that `mechsearch sweep` wrote; "
+                f"{', '.join(map(str, self.sources)) or 'nothing'} is none"
+            )
         if [source.suffix for source in self.sources] == [".csv"]:
             svg = draw_summary(summary.read(self.sources[0]))
             write_text(self.out, svg)
         else:
             write_report(self)
         wrote(self.out)
+
+
+def write_experiment(options: Report) -> None:
+    """Write page, PDF, figures and numbers of a sweep's folder, and say what was found."""
+    if len(options.sources) > 1:
+        raise MechSearchError(
+            f"{len(options.sources)} sources; a sweep's folder is reported by itself"
+        )
+    analysis = experiment_report.analyse(read_experiment(options.sources[0]))
+    models = _models(analysis.experiment, options.objects) if options.pictures else None
+    text = experiment_report.document(analysis, options.title, models)
+    write_text(options.out, document.to_html(text))
+    pdf = options.pdf or options.out.with_suffix(".pdf")
+    write_pdf(pdf, text)
+    beside = options.out.with_suffix("")
+    for name, svg in analysis.figures.items():
+        write_text(beside / f"{name}.svg", svg)
+    for name, rows in experiment_report.numbers(analysis).items():
+        write_text(beside / f"{name}.csv", _csv(rows))
+    for ruling in (*analysis.paper, *analysis.goals):
+        say(f"{ruling.verdict:>14}: {ruling.words}")
+    for path in (options.out, pdf, beside):
+        wrote(path)
 
 
 def write_report(options: Report) -> None:
@@ -76,6 +118,21 @@ def learning_curves(
         f"Training of {run.name}, seed {run.seed}.": curves.draw_training(run) for run in runs
     }
     return {caption: svg for caption, svg in drawn.items() if svg}
+
+
+def _csv(rows: Sequence[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _models(experiment: Experiment, named_set: str) -> dict[str, Mapping[str, ObjectModel]]:
+    """Return the objects of each condition by name."""
+    found = {}
+    for condition in experiment.conditions.values():
+        first = next(iter(condition.trials.values()))[0]
+        found[condition.name] = models_of(episodes.load(first.path), named_set)
+    return found
 
 
 def _files(sources: Sequence[Path]) -> list[Path]:

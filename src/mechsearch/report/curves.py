@@ -84,7 +84,7 @@ def draw_evaluations(
         for metric, ax in zip(SHOWN, axes, strict=True):
             for run in runs:
                 _draw_run(ax, run, metric, COLOURS[names.index(run.name) % len(COLOURS)])
-            _draw_levels(ax, metric, references or {})
+            draw_levels(ax, metric, references or {})
             ax.set_title(display(metric).label)
             ax.set_xlabel("training step")
         handles, labels = axes[0].get_legend_handles_labels()
@@ -163,7 +163,8 @@ def _draw_run(ax: Axes, run: Run, metric: str, colour: str) -> None:
             )
 
 
-def _draw_levels(ax: Axes, metric: str, references: Mapping[str, Mapping[str, Estimate]]) -> None:
+def draw_levels(ax: Axes, metric: str, references: Mapping[str, Mapping[str, Estimate]]) -> None:
+    """Draw scores of policies that do not learn as grey levels, named at the right."""
     scale = display(metric).scale
     levels = {name: scores[metric].mean * scale for name, scores in references.items()}
     for level in levels.values():

@@ -13,6 +13,23 @@ from matplotlib.figure import Figure
 # Okabe and Ito's colours, told apart by colour-blind readers; yellow is left out on white paper.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY = "#8a8f98"
+PRINTED_WIDTH = 7.4
+"""Of a figure that fills an A4 page between its margins [inch]."""
+
+_POLICIES = {
+    "method": (COLOURS[0], "o"),
+    "plus": (COLOURS[3], "D"),
+    "ddpg": (COLOURS[1], "v"),
+    "no-teachers": (COLOURS[2], "s"),
+    "no-asymmetry": (COLOURS[4], "^"),
+    "no-pose-input": (COLOURS[5], "P"),
+    "teacher-straight": ("#3f444d", ">"),
+    "teacher-zigzag": ("#6b717c", "h"),
+    "teacher-spiral": ("#3f444d", "<"),
+    "look-ahead": (COLOURS[6], "*"),
+    "random": (GREY, "x"),
+    "idle": (GREY, "+"),
+}
 _STYLE: dict[str, Any] = {
     "svg.hashsalt": "mechsearch",
     "font.size": 9.5,
@@ -29,6 +46,16 @@ _STYLE: dict[str, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.8,
 }
+
+
+def colour(policy: str) -> str:
+    """Return the colour of a policy, the same in all figures."""
+    return _POLICIES.get(policy, (COLOURS[6], "."))[0]
+
+
+def marker(policy: str) -> str:
+    """Return the mark of a policy, the same in all figures."""
+    return _POLICIES.get(policy, (COLOURS[6], "."))[1]
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from PIL import Image
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import tables, verdicts
-from mechsearch.report.figures import data_uri
+from mechsearch.report.document import Picture, picture_html, section_html
 from mechsearch.report.filmstrip import Film, FilmConfig, start_and_end
 from mechsearch.report.intervals import draw_intervals
 from mechsearch.report.style import PAGE
@@ -21,21 +21,6 @@ from mechsearch.runs import write_whole
 from mechsearch.types import MechSearchError
 
 PICTURED = ("worst", "median", "best")
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture on the page.
-
-    Attributes:
-        uri: `data:` address of the picture.
-        alt: What a reader who cannot see it should know.
-        caption: Below it.
-    """
-
-    uri: str
-    alt: str
-    caption: str
 
 
 @dataclass(frozen=True)
@@ -78,20 +63,17 @@ def page(report: Report) -> str:
     subjects = trained(report.evaluations)
     scores = tables.scores_of(report.evaluations)
     sections = [
-        _section("What beat what", _verdicts(report.evaluations, subjects)),
-        _section("Scores", _scores(report.evaluations, scores, subjects)),
+        section_html("What beat what", _verdicts(report.evaluations, subjects)),
+        section_html("Scores", _scores(report.evaluations, scores, subjects)),
     ]
     if report.curves:
-        figures = [
-            Figure(data_uri(svg, "image/svg+xml"), caption, caption)
-            for caption, svg in report.curves.items()
-        ]
-        sections.append(_section("Learning", "".join(map(_figure, figures))))
+        figures = [Picture(svg, caption, caption) for caption, svg in report.curves.items()]
+        sections.append(section_html("Learning", "".join(map(picture_html, figures))))
     if report.models is not None:
         sections.append(
-            _section("Episodes", _episodes(report.evaluations, report.models, subjects[0]))
+            section_html("Episodes", _episodes(report.evaluations, report.models, subjects[0]))
         )
-    sections.append(_section("How this was made", _made(report)))
+    sections.append(section_html("How this was made", _made(report)))
     return Template(PAGE).substitute(
         title=escape(report.title),
         lead=escape(_lead(report.evaluations, subjects)),
@@ -154,12 +136,12 @@ def _scores(
     subjects: Sequence[str],
 ) -> str:
     svg = draw_intervals({name: [values] for name, values in scores.items()}, subjects)
-    figure = Figure(
-        data_uri(svg, "image/svg+xml"),
+    figure = Picture(
+        svg,
         "Means and confidence intervals of each policy and metric; the table below has the numbers",
         "Means with 95 % confidence intervals over heaps.",
     )
-    parts = [_figure(figure), tables.to_html(tables.score_table(scores))]
+    parts = [picture_html(figure), tables.to_html(tables.score_table(scores))]
     parts += [
         tables.to_html(tables.count_table(evaluations, metric))
         for metric in ("reward", "visibility_change", "uncovered_rate")
@@ -180,12 +162,12 @@ def _episodes(
     ]
     for name, evaluation in evaluations.items():
         records = {(record.condition, record.heap_seed): record for record in evaluation.episodes}
-        figures = "".join(_figure(_picture(records[heap], models)) for heap in heaps.values())
+        figures = "".join(picture_html(_picture(records[heap], models)) for heap in heaps.values())
         parts.append(f'<h3>{escape(name)}</h3><div class="row">{figures}</div>')
     return "".join(parts)
 
 
-def _picture(record: EpisodeRecord, models: Mapping[str, ObjectModel]) -> Figure:
+def _picture(record: EpisodeRecord, models: Mapping[str, ObjectModel]) -> Picture:
     image = start_and_end(Film(record, models, FilmConfig(size=224, captions=False)))
     first, last = record.occlusions[0], record.occlusions[-1]
     actions = len(record.actions)
@@ -194,7 +176,7 @@ def _picture(record: EpisodeRecord, models: Mapping[str, ObjectModel]) -> Figure
         f"({record.end}), reward {tables.number('reward', float(record.rewards.sum()))}"
     )
     alt = f"Start and end of an episode among {len(record.objects)} objects: {caption}"
-    return Figure(data_uri(_encoded(image), "image/png"), alt, caption)
+    return Picture(_encoded(image), alt, caption)
 
 
 def _encoded(image: Image.Image) -> bytes:
@@ -228,15 +210,3 @@ def _made(report: Report) -> str:
     paragraphs = [f"{key}: {value}." for key, value in facts.items() if value]
     text = "".join(f"<p>{escape(line)}</p>" for line in (*report.notes, " ".join(paragraphs)))
     return tables.to_html(tables.Table("Policies", columns, tuple(rows))) + text
-
-
-def _section(title: str, body: str) -> str:
-    name = title.lower().replace(" ", "-")
-    return f'<section aria-labelledby="{name}"><h2 id="{name}">{title}</h2>{body}</section>'
-
-
-def _figure(figure: Figure) -> str:
-    return (
-        f'<figure><img src="{figure.uri}" alt="{escape(figure.alt)}">'
-        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-    )

@@ -33,6 +33,9 @@ th, td { padding: .4rem .45rem; text-align: right; vertical-align: top;
 thead th { border-bottom: 1.5px solid var(--ink); font-weight: 600; }
 th:first-child { text-align: left; padding-left: 0; }
 tbody th { font-weight: 600; }
+.words th, .words td { text-align: left; white-space: normal; }
+.words tbody th { font-weight: 400; }
+.words caption { color: var(--ink); font-weight: 600; }
 small { display: block; color: var(--soft); font-size: .82em; font-weight: 400; }
 td.better { color: var(--better); font-weight: 600; }
 td.worse { color: var(--worse); font-weight: 600; }

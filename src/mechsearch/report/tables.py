@@ -155,12 +155,13 @@ def to_markdown(table: Table) -> str:
     return "\n".join("| " + " | ".join(map(_one_line, row)) + " |" for row in rows) + "\n"
 
 
-def to_html(table: Table, marks: Sequence[Sequence[str]] = ()) -> str:
+def to_html(table: Table, marks: Sequence[Sequence[str]] = (), words: bool = False) -> str:
     """Return a table in HTML.
 
     Args:
         table: The table.
         marks: Class name of each cell after the first (R, C - 1), such as "better".
+        words: Whether the cells are sentences, which break into lines.
     """
     head = "".join(f'<th scope="col">{escape(column)}</th>' for column in table.columns)
     body = []
@@ -168,8 +169,10 @@ def to_html(table: Table, marks: Sequence[Sequence[str]] = ()) -> str:
         classes = marks[i] if marks else [""] * len(cells)
         data = "".join(map(_html_cell, cells, classes))
         body.append(f'<tr><th scope="row">{escape(name)}</th>{data}</tr>')
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    kind = ' class="words"' if words else ""
     return (
-        f'<div class="wide"><table><caption>{escape(table.caption)}</caption><thead><tr>{head}'
+        f'<div class="wide"><table{kind}>{caption}<thead><tr>{head}'
         f"</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
     )
 

@@ -1,0 +1,168 @@
+"""A document as a PDF for print: the same bytes from the same document."""
+
+import io
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import matplotlib
+from fpdf import FPDF
+from fpdf.enums import TableBordersLayout
+from fpdf.fonts import FontFace
+from PIL import Image
+
+from mechsearch.report.document import Block, Document, Grid, Paragraph, Picture
+from mechsearch.runs import write_whole
+
+# A file's date is not part of what it says, and would change its bytes.
+_DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)
+_FAMILY = "DejaVu"
+_INK, _SOFT = (32, 36, 44), (91, 97, 107)
+_MARKS = {"better": (0, 105, 75), "worse": (166, 63, 0)}
+_MARGIN = 16.0
+_LINE = 1.35
+_POINT = 25.4 / 72
+_LEAST_HEIGHT = 30.0
+
+
+def write_pdf(path: Path, document: Document) -> None:
+    """Write a document on A4 pages, whole or not at all."""
+    content = to_pdf(document)
+    write_whole(path, lambda partial: partial.write_bytes(content))
+
+
+def to_pdf(document: Document) -> bytes:
+    """Return a document as the bytes of a PDF."""
+    pages = _Pages()
+    pages.set_title(document.title)
+    pages.add_page()
+    pages.write_text(document.title, 20, bold=True, after=2)
+    pages.write_text(document.lead, 11, colour=_SOFT, after=3)
+    for section in document.sections:
+        pages.head(section.title, 14, before=5)
+        for block in section.blocks:
+            pages.put(block)
+    return bytes(pages.output())
+
+
+class _Pages(FPDF):
+    """A4 pages that are filled block by block."""
+
+    def __init__(self) -> None:
+        super().__init__(format="A4", unit="mm")
+        self.set_creation_date(_DATE)
+        self.set_margins(_MARGIN, _MARGIN)
+        self.set_auto_page_break(True, _MARGIN)
+        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+        self.add_font(_FAMILY, "", fonts / "DejaVuSans.ttf")
+        self.add_font(_FAMILY, "B", fonts / "DejaVuSans-Bold.ttf")
+
+    def footer(self) -> None:
+        """Number the page."""
+        self.set_y(-10)
+        self.set_font(_FAMILY, "", 8)
+        self.set_text_color(*_SOFT)
+        self.cell(0, 5, str(self.page_no()), align="C")
+
+    def put(self, block: Block) -> None:
+        """Add one block below the last."""
+        if isinstance(block, Paragraph):
+            size, colour = (8, _SOFT) if block.note else (9.5, _INK)
+            self.write_text(block.text, size, colour=colour, after=2)
+        elif isinstance(block, Grid):
+            self.put_table(block)
+        else:
+            self.put_picture(block)
+
+    def head(self, text: str, size: float, before: float) -> None:
+        """Add a heading, on a new page if nothing would fit below it."""
+        self.ln(before)
+        self.need(_LEAST_HEIGHT)
+        self.write_text(text, size, bold=True, after=1.5)
+
+    def need(self, height: float) -> None:
+        """Begin a new page unless so much room is left on this one."""
+        if self.get_y() + height > self.h - _MARGIN:
+            self.add_page()
+
+    def write_text(
+        self,
+        text: str,
+        size: float,
+        bold: bool = False,
+        colour: tuple[int, int, int] = _INK,
+        after: float = 0,
+    ) -> None:
+        """Add text over the whole width."""
+        self.set_font(_FAMILY, "B" if bold else "", size)
+        self.set_text_color(*colour)
+        self.multi_cell(0, size * _POINT * _LINE, text, align="L", new_x="LMARGIN", new_y="NEXT")
+        self.ln(after)
+
+    def put_table(self, grid: Grid) -> None:
+        """Add a table whose headings come again on every page."""
+        size = 7.5 if grid.words or len(grid.table.columns) < 8 else 6.5
+        self.need(_LEAST_HEIGHT)
+        if grid.table.caption:
+            self.write_text(grid.table.caption, 8.5, bold=grid.words, after=1)
+        self.set_font(_FAMILY, "", size)
+        self.set_text_color(*_INK)
+        self.set_draw_color(190, 194, 200)
+        self.set_line_width(0.15)
+        align = "LEFT" if grid.words else ("LEFT", *["RIGHT"] * (len(grid.table.columns) - 1))
+        with self.table(
+            borders_layout=TableBordersLayout.HORIZONTAL_LINES,
+            col_widths=tuple(grid.widths) or _widths(grid),
+            headings_style=FontFace(emphasis="BOLD", color=_INK),
+            line_height=size * _POINT * 1.3,
+            padding=(0.8, 1.0),
+            text_align=align,
+            v_align="TOP",
+        ) as table:
+            table.row(grid.table.columns)
+            for i, cells in enumerate(grid.table.rows):
+                row = table.row()
+                marks = ("", *grid.marks[i]) if grid.marks else [""] * len(cells)
+                for text, mark in zip(cells, marks, strict=True):
+                    style = FontFace(color=_MARKS[mark], emphasis="BOLD") if mark else None
+                    row.cell(text, style=style)
+        self.ln(3)
+
+    def put_picture(self, picture: Picture) -> None:
+        """Add a picture over the whole width, or as high as a page, with its caption."""
+        content = picture.content
+        if isinstance(content, str):
+            # Who made it and when is none of a drawing's shapes.
+            content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL).encode()
+        width, height = _size(picture)
+        room = self.h - 2 * _MARGIN - 16
+        scale = min(self.epw / width, room / height)
+        self.need(height * scale + 8)
+        left = _MARGIN + (self.epw - width * scale) / 2
+        self.image(
+            io.BytesIO(content), x=left, w=width * scale, h=height * scale, alt_text=picture.alt
+        )
+        self.ln(1)
+        self.write_text(picture.caption, 8, colour=_SOFT, after=3)
+
+
+def _widths(grid: Grid) -> tuple[float, ...]:
+    """Return a width for each column by its longest line, or word of its bold heading."""
+    widths = []
+    for i, heading in enumerate(grid.table.columns):
+        lines = [line for row in grid.table.rows for line in row[i].split("\n")]
+        words = [1.25 * len(word) for word in heading.split()]
+        widths.append(2 + max(*map(len, lines), *words, 4))
+    return tuple(widths)
+
+
+def _size(picture: Picture) -> tuple[float, float]:
+    """Return width and height of a picture in any unit."""
+    if isinstance(picture.content, bytes):
+        with Image.open(io.BytesIO(picture.content)) as image:
+            return image.width, image.height
+    head = picture.content.split("<svg", 1)[1].split(">", 1)[0]
+    sizes = [head.split(f'{name}="', 1)[1].split('"', 1)[0] for name in ("width", "height")]
+    width, height = (float(size.removesuffix("pt")) for size in sizes)
+    return width, height
