@@ -34,7 +34,8 @@ def position_image(
     image = np.zeros((3, *shape), np.float16)
     pixels = np.flatnonzero(mask)
     z = depth.ravel()[pixels]
-    pixels, z = pixels[z > 0], z[z > 0]
+    if not z.all():
+        pixels, z = pixels[z > 0], z[z > 0]
     origin, rays = _rays(camera)
     image.reshape(3, -1)[:, pixels] = rays[:, pixels] * z + (origin - ee_position)[:, None]
     return image

@@ -5,7 +5,7 @@ amodal mask. What an object shows is kept until it moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -35,26 +35,40 @@ class Patch(NamedTuple):
 class Frame:
     """What one camera sees at one instant.
 
+    What two bodies show at the very same distance is visible of both.
+
     Attributes:
         depth: Along the optical axis (H, W) float32 [m]; 0 where nothing is.
-        ids: Object index of each pixel (H, W) int16; `BACKGROUND` or `PUSHER` elsewhere.
         rgb: Colour (H, W, 3) uint8, or None when not asked for.
         patches: What each object alone would show.
+        pusher: What the end effector alone would show, or None without one.
     """
 
     depth: NDArray[np.float32]
-    ids: NDArray[np.int16]
     rgb: NDArray[np.uint8] | None
     patches: tuple[Patch, ...]
+    pusher: Patch | None = None
 
     def modal(self, index: int) -> NDArray[np.bool_]:
-        """Return the visible pixels (H, W) of one object."""
-        return np.asarray(self.ids == index, np.bool_)
+        """Return the visible pixels (H, W) of one object: where nothing is nearer."""
+        mask = np.zeros(self.depth.shape, np.bool_)
+        patch = self.patches[index]
+        np.less_equal(patch.depth, self.depth[patch.where], out=mask[patch.where])
+        return mask
+
+    @cached_property
+    def ids(self) -> NDArray[np.int16]:
+        """Object index of each pixel (H, W), the lowest visible; `BACKGROUND` or `PUSHER` else."""
+        ids = np.full(self.depth.shape, BACKGROUND, np.int16)
+        bodies = [(PUSHER, self.pusher)] if self.pusher else []
+        for identity, patch in (*bodies, *reversed(list(enumerate(self.patches)))):
+            ids[patch.where][patch.depth <= self.depth[patch.where]] = identity
+        return ids
 
     @cached_property
     def amodal(self) -> NDArray[np.bool_]:
         """Whole projection of each object (N, H, W), whatever hides it."""
-        masks = np.zeros((len(self.patches), *self.ids.shape), np.bool_)
+        masks = np.zeros((len(self.patches), *self.depth.shape), np.bool_)
         for mask, patch in zip(masks, self.patches, strict=True):
             mask[patch.where] = patch.depth < NO_HIT
         return masks
@@ -70,9 +84,10 @@ class _Seen:
         rays: Of the whole frame (H, W, 3).
         empty: Depth (H, W) of table and floor.
         colour: Likewise (H, W, 3).
-        poses: Of the objects (N, 7) in `frame`.
-        patches: Of the objects in `frame`.
-        frame: Its depth is infinite where nothing is.
+        endless: Whether there are pixels of `empty` without anything, where it is infinite.
+        poses: Of the objects (N, 7).
+        patches: Of the objects.
+        depth: Of table, floor and objects (H, W), infinite where nothing is.
     """
 
     view: View
@@ -80,9 +95,10 @@ class _Seen:
     rays: NDArray[np.float32]
     empty: NDArray[np.float32]
     colour: NDArray[np.uint8]
+    endless: bool
     poses: Array = field(default_factory=lambda: np.empty(0))
-    patches: list[Patch] = field(default_factory=list)
-    frame: Frame | None = None
+    patches: tuple[Patch, ...] = ()
+    depth: NDArray[np.float32] | None = None
 
 
 class Renderer:
@@ -132,12 +148,13 @@ class Renderer:
             )
         seen = self._looking(camera)
         heap, shown = self._heap(seen, states, pusher)
-        depth, ids = heap.depth.copy(), heap.ids.copy()
+        depth = heap.copy()
         if shown is not None:
-            _compose(depth, ids, shown, PUSHER)
-        rgb = self._colours(seen, ids) if colour else None
-        depth[depth > NO_HIT] = 0.0
-        return Frame(depth, ids, rgb, heap.patches)
+            _compose(depth, shown)
+        if seen.endless:
+            depth[depth > NO_HIT] = 0.0
+        frame = Frame(depth, None, seen.patches, shown)
+        return replace(frame, rgb=self._colours(seen, frame.ids)) if colour else frame
 
     def projection(self, camera: Camera) -> Projection:
         """Return how the objects, and after them the pusher, last lay to a camera.
@@ -154,13 +171,14 @@ class Renderer:
             view = View(camera)
             rays = view.all_rays
             depth, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
-            self._seen[camera] = _Seen(view, self.projection(camera), rays, depth, colour)
+            endless = bool((depth > NO_HIT).any())
+            self._seen[camera] = _Seen(view, self.projection(camera), rays, depth, colour, endless)
         return self._seen[camera]
 
     def _heap(
         self, seen: _Seen, states: Floats, pusher: Array | None
-    ) -> tuple[Frame, Patch | None]:
-        """Return the objects without the pusher, and what the pusher shows.
+    ) -> tuple[NDArray[np.float32], Patch | None]:
+        """Return depth without the pusher (H, W), only to be read, and what the pusher shows.
 
         Nothing is cast for objects that lie as before.
         """
@@ -169,21 +187,22 @@ class Renderer:
             seen.projection.place(np.concatenate([states, np.asarray(pusher, np.float64)[None]]))
         else:
             seen.projection.place(states)
-        if seen.frame is None:
-            which = list(range(count))
-        else:
+        depth, which = seen.depth, list(range(count))
+        if depth is not None:
             which = (states != seen.poses).any(axis=1).nonzero()[0].tolist()
-        if seen.frame is None or which:
+        if depth is None or which:
             blocks = self._blocks(seen, slice(count))
             patches = list(seen.patches) or [_nothing(seen)] * count
             for i in which:
                 patches[i] = self._cast(seen, i, blocks[i])
-            seen.patches, seen.poses = patches, states.copy()
-            seen.frame = self._composed(seen)
+            depth = seen.empty.copy()
+            for patch in patches:
+                _compose(depth, patch)
+            seen.patches, seen.poses, seen.depth = tuple(patches), states.copy(), depth
         if self._pusher is None or pusher is None:
-            return seen.frame, None
+            return depth, None
         (block,) = self._blocks(seen, slice(count, count + 1))
-        return seen.frame, self._cast(seen, count, block)
+        return depth, self._cast(seen, count, block)
 
     def _blocks(self, seen: _Seen, bodies: slice) -> list[Block]:
         """Return where in the frame some bodies may appear."""
@@ -201,13 +220,6 @@ class Renderer:
         depth = self._all[index].depths(start, rays.reshape(-1, 3), rotation)
         where = slice(top, bottom), slice(left, right)
         return Patch(where, depth.reshape(bottom - top, right - left))
-
-    def _composed(self, seen: _Seen) -> Frame:
-        depth = seen.empty.copy()
-        ids = np.full(depth.shape, BACKGROUND, np.int16)
-        for i, patch in enumerate(seen.patches):
-            _compose(depth, ids, patch, i)
-        return Frame(depth, ids, None, tuple(seen.patches))
 
     def _colours(self, seen: _Seen, ids: NDArray[np.int16]) -> NDArray[np.uint8]:
         rgb = seen.colour.copy()
@@ -242,10 +254,7 @@ def _nothing(seen: _Seen) -> Patch:
     return Patch((slice(0), slice(0)), seen.empty[:0, :0])
 
 
-def _compose(
-    depth: NDArray[np.float32], ids: NDArray[np.int16], patch: Patch, identity: int
-) -> None:
+def _compose(depth: NDArray[np.float32], patch: Patch) -> None:
     """Draw a patch where it is nearer than what is there."""
     part = depth[patch.where]
-    np.copyto(ids[patch.where], identity, where=patch.depth < part)
     np.minimum(part, patch.depth, out=part)

@@ -1,6 +1,7 @@
 """The physics engine's state, and what moves it."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.scene import PhysicsConfig, Wall, compile_scene
-from mechsearch.sim.travel import Outlines, clear_steps, free_travel
+from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats
 
@@ -143,18 +144,23 @@ class World:
         config = self.config
         if self._pusher is None or not np.isfinite(config.clearance) or not self._lies_still():
             return 0
-        answer = free_travel(self._pusher, config)
-        path = start + answer.position[:, None] * (goal - start)
-        return clear_steps(path, self._outlines.boxes(self.poses), self._pusher, config.clearance)
+        path = start + self._travel.position[:, None] * (goal - start)
+        return clear_steps(
+            path, self._outlines.boxes(self._objects), self._pusher, config.clearance
+        )
+
+    @cached_property
+    def _travel(self) -> FreeTravel:
+        assert self._pusher is not None
+        return free_travel(self._pusher, self.config)
 
     def _enter(self, start: Floats, command: Floats, step: int) -> None:
         """Put the pusher where `step` steps of free travel have brought it."""
-        assert self._pusher is not None
         config, data = self.config, self._data
         speed = command / (config.action_steps * config.time_step)
         data.act[:] = start
         if step:
-            answer = free_travel(self._pusher, config)
+            answer = self._travel
             self._tip[:] = start + answer.position[step] * command
             data.qvel[6 * self.count :] = answer.velocity[step] * command
             data.act[:] = start + answer.set_point[step] * command
