@@ -31,7 +31,7 @@ test-all:
 		fi; \
 	done
 
-# About ten minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
+# About twenty minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
 bench: $(VENV)/.bench-ready
 	$(BIN)/python -m benchmarks
 
