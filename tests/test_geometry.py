@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -60,3 +61,14 @@ def test_a_capped_vector_keeps_its_direction_and_never_exceeds_the_limit(seed, l
     capped = cap_length(vector, limit)
     assert np.linalg.norm(capped) <= limit * (1 + 1e-12) or np.array_equal(capped, vector)
     np.testing.assert_allclose(np.cross(capped, vector), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 15, 64])
+def test_a_rotation_has_the_same_bits_alone_and_among_others(count):
+    rng = np.random.default_rng(count)
+    many = np.stack([random_quaternion(rng) for _ in range(300)])
+    together = rotation_from_quaternion(many)
+    for start in range(0, 300 - count, count):
+        part = rotation_from_quaternion(many[start : start + count])
+        np.testing.assert_array_equal(part, together[start : start + count])
+    np.testing.assert_array_equal(rotation_from_quaternion(many[7]), together[7])

@@ -27,10 +27,15 @@ _ROTATION_TERMS = _rotation_terms()
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
-    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first.
+
+    Each has the same bits whatever others are asked for with it.
+    """
     q = np.asarray(quaternion, dtype=np.float64)
-    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
-    return (products @ _ROTATION_TERMS).reshape(*q.shape[:-1], 3, 3)
+    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16, 1)
+    # A matrix product would round a single one otherwise than one of many.
+    rotations: Floats = (products * _ROTATION_TERMS).sum(axis=-2)
+    return rotations.reshape(*q.shape[:-1], 3, 3)
 
 
 def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:
