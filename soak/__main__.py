@@ -27,9 +27,11 @@ def main() -> None:
     unknown = [name for name in names if name not in TESTS]
     if unknown:
         raise SystemExit(f"unknown {unknown[0]!r}; choose among {', '.join(TESTS)}")
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in names:
-        results[name] = {**TESTS[name](), "machine": machine.describe()}
+        found = {**TESTS[name](), "machine": machine.describe()}
+        # Read late: another test may have ended meanwhile.
+        results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        results[name] = found
         RESULTS.write_text(json.dumps(results, indent=2) + "\n")
         print(json.dumps({name: results[name]}, indent=2))
 
