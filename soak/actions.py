@@ -31,8 +31,9 @@ def soak(workload: Workload, actions: int, heaps: int) -> dict[str, Any]:
     """
     everything = workload.heap_set.heaps
     heaps = min(heaps, len(everything))
-    chosen = [everything[i * len(everything) // heaps] for i in range(heaps)]
     rng = np.random.default_rng(0)
+    # In random order, as memory would else grow with the number of objects in a heap.
+    chosen = [everything[i * len(everything) // heaps] for i in rng.permutation(heaps)]
     ends: Counter[str] = Counter()
     strange: Counter[str] = Counter()
     looks = []

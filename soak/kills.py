@@ -74,7 +74,7 @@ def _kill(
             folder.mkdir()
             finished = False
             while not finished:
-                limit = float(rng.uniform(0.2, whole)) if done < kills else None
+                limit = float(rng.uniform(0.2, whole / 2)) if done < kills else None
                 finished = _run(command(folder), limit)
                 done += not finished
                 visible(folder)
