@@ -77,21 +77,16 @@ class Calibrate(Command):
             wrote(self.plot)
 
     def _tasks(self, path: Path) -> list[TrialTask]:
-        evaluation = episodes.load(path)
+        evaluation = episodes.load_some(path, self.limit)
         models_of(evaluation, self.objects)
         spec = self.objects or str(evaluation.header["object_set"])
         network = self.network or SHIPPED
-        count = len(evaluation.episodes)
-        if not 0 <= self.limit <= count:
-            raise MechSearchError(f"limit is {self.limit}; {path} has {count} episodes")
-        number = self.limit or count
-        chosen = [evaluation.episodes[i * count // number] for i in range(number)]
         return [
             TrialTask(
                 network, spec, record.objects, record.target, poses, record.heap_seed,
                 self.grasps, self.repeats,
             )
-            for record in chosen
+            for record in evaluation.episodes
             for poses in (record.poses[0], record.poses[-1])
         ]  # fmt: skip
 

@@ -42,20 +42,14 @@ class Verify(Command):
             raise SystemExit(1)
 
     def _verify(self, path: Path) -> bool:
-        evaluation = episodes.load(path)
+        evaluation = episodes.load_some(path, self.limit)
         models_of(evaluation, self.objects)
-        count = len(evaluation.episodes)
-        if not 0 <= self.limit <= count:
-            raise MechSearchError(f"limit is {self.limit}; {path} has {count} episodes")
-        number = self.limit or count
-        chosen = tuple(evaluation.episodes[i * count // number] for i in range(number))
-        part = episodes.Evaluation(evaluation.header, chosen)
         with bars() as progress:
-            found = list(replay_all(part, self.heaps, self.objects, self.workers, progress))
+            found = list(replay_all(evaluation, self.heaps, self.objects, self.workers, progress))
         for replay in found:
             if not replay.passed:
                 say(f"{path}: heap {replay.heap_seed}: {'; '.join(replay.differences)}")
-        same = sum(replay.passed for replay in found)
+        number, same = len(found), sum(replay.passed for replay in found)
         say(f"{path}: {same} of {number} episodes are as recorded, bit by bit")
         others = crossed(evaluation.header.get("fingerprint", {}), fingerprint())
         if others:

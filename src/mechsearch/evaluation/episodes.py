@@ -164,6 +164,21 @@ def save(path: Path, evaluation: Evaluation) -> None:
     write_whole(path, write)
 
 
+def load_some(path: Path, limit: int) -> Evaluation:
+    """Read an evaluation, and keep so many of its episodes, evenly spread; all for 0.
+
+    Raises:
+        MechSearchError: As `load`, or if there are not so many.
+    """
+    evaluation = load(path)
+    count = len(evaluation.episodes)
+    if not 0 <= limit <= count:
+        raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
+    number = limit or count
+    chosen = tuple(evaluation.episodes[i * count // number] for i in range(number))
+    return Evaluation(evaluation.header, chosen)
+
+
 def load(path: Path) -> Evaluation:
     """Read what `save` wrote; nothing in the file is ever run.
 
