@@ -67,17 +67,16 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
 
 def _patches(pushes: Sequence[Push], heights: Floats, sight: Sight) -> NDArray[np.float16]:
     assert sight.centre is not None
-    along, across = (np.array(axes) for axes in zip(*(p.axes for p in pushes), strict=True))
-    middles = np.array([push.middle(sight.centre) for push in pushes])
+    axes = np.array([push.axes for push in pushes]).reshape(-1, 2, 1, 1, 2)
+    middles = np.array([push.middle(sight.centre) for push in pushes]).reshape(-1, 1, 1, 2)
     u, v = _grid()
-    places = middles[:, None, None] + u[..., None] * along[:, None, None]
-    places = places + v[..., None] * across[:, None, None]
+    places = middles + u[..., None] * axes[:, 0] + v[..., None] * axes[:, 1]
     level = np.full((*places.shape[:-1], 1), max(sight.centre[2], 0.02))
     pixels = sight.camera.project(np.concatenate([places, level], axis=-1))
     layers = np.stack([sight.heights, sight.target.astype(np.float64)])
     height, target = _sample(layers, pixels[..., 1], pixels[..., 0])
     above = height - heights[:, None, None]
-    paths = np.array([_path_image(push) for push in pushes])
+    paths = np.array([_path_image(push) for push in pushes]).reshape(-1, *PATCH[1:])
     return np.stack([10 * height, 10 * above, target, paths], axis=1).astype(np.float16)
 
 
@@ -90,16 +89,15 @@ def _grid() -> tuple[Floats, Floats]:
 
 def _path_image(push: Push) -> Floats:
     """Return a path in its push's own frame (32, 32): 1 on it, falling to 0 beside it."""
-    u, v = _grid()
-    cells = np.stack([u, v], axis=-1).reshape(-1, 2)
     own = replace(push, direction=0.0, lateral=0.0, mirrored=False)
-    way = np.array(own.path(np.zeros(3), 0.0))[:, :2]
-    begins, steps = way[:-1], np.diff(way, axis=0)
-    lengths = np.maximum((steps * steps).sum(axis=1), 1e-12)
-    along = ((cells[:, None] - begins) * steps).sum(axis=-1) / lengths
-    nearest = begins + np.clip(along, 0, 1)[..., None] * steps
-    away = np.linalg.norm(cells[:, None] - nearest, axis=-1).min(axis=1)
-    image: Floats = np.maximum(1 - away / _WIDTH, 0).reshape(u.shape)
+    way = np.array(own.path(np.zeros(3), 0.0))
+    x, y = way[:-1, 0], way[:-1, 1]
+    dx, dy = np.diff(way[:, 0]), np.diff(way[:, 1])
+    u, v = (axis[..., None] for axis in _grid())
+    along = ((u - x) * dx + (v - y) * dy) / (dx * dx + dy * dy)
+    along = np.minimum(np.maximum(along, 0), 1)
+    away = np.hypot(x + along * dx - u, y + along * dy - v).min(axis=-1)
+    image: Floats = np.maximum(1 - away / _WIDTH, 0)
     return image
 
 
