@@ -155,6 +155,7 @@ def test_both_targets_move_by_the_share_tau(agent, tau):
             torch.testing.assert_close(c, (1 - tau) * a + tau * b)
 
 
+@settings(deadline=None, max_examples=25)
 @given(seeds)
 def test_symmetry_is_applied_only_where_it_is_asked_for(agent, seed):
     replay, _ = played([(4, True)], seed)
@@ -166,6 +167,7 @@ def test_symmetry_is_applied_only_where_it_is_asked_for(agent, seed):
         np.testing.assert_array_equal(batch.next_obs[key].numpy(), plain.next_obs[key])
 
 
+@settings(deadline=None, max_examples=25)
 @given(seeds, st.sampled_from([0.0, 1e6, np.nan, np.inf]))
 def test_the_actors_bits_do_not_depend_on_what_only_the_critic_sees(agent, seed, other):
     obs = observation(np.random.default_rng(seed))

@@ -40,6 +40,10 @@ def test_occlusion_is_one_under_a_larger_plate(boxes):
     assert hidden(boxes, ["small0", "plate"], [at(0, 0, 0.015), at(0, 0, 0.04)]) == 1.0
 
 
+def test_what_lies_at_the_very_same_distance_hides_nothing(boxes):
+    assert hidden(boxes, ["small0", "small1"], [at(0, 0, 0.015), at(0, 0, 0.015)]) == 0.0
+
+
 def test_half_a_cover_hides_half(boxes):
     """Seen from 1 m, the edge of a plate 4 cm up lies over the middle of a cube 3 cm high."""
     measured = hidden(boxes, ["small0", "plate"], [at(0, 0, 0.015), at(0.05, 0, 0.04)])

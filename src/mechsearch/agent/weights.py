@@ -136,7 +136,9 @@ def _verified(
     check, _, text = header.get("mechsearch", "").partition(" ")
     if check != str(crc32(text.encode())):
         raise MechSearchError(f"{what} is damaged, or was not written by mechsearch: its header")
-    meta: dict[str, Any] = json.loads(text)
+    meta: dict[str, Any] = json.loads(text or "{}")
+    if not {"kind", "format", "checks"} <= set(meta):
+        raise MechSearchError(f"{what} was not written by mechsearch")
     checks = meta.pop("checks")
     for name, tensor in tensors.items():
         if checks.get(name) != _checksum(tensor):
