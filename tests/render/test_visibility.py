@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mechsearch.camera import Camera, preset
-from mechsearch.geometry import random_quaternion
+from mechsearch.geometry import random_quaternion, yaw_quaternion
 from mechsearch.render.body import body_of
 from mechsearch.render.renderer import Renderer
 from mechsearch.render.view import Projection
@@ -97,12 +97,16 @@ def test_a_projection_that_follows_the_objects_is_as_good_as_a_new_one(boxes, se
     rng = np.random.default_rng(seed)
     names, poses = list(boxes.models), tumbled(boxes, rng)
     kept = Projection(CAMERA, [body_of(boxes.models[n]) for n in names])
-    for _ in range(4):
-        index, kind = rng.integers(len(names)), rng.integers(4)
-        if kind in (1, 3):
+    for _ in range(8):
+        index, turn = rng.integers(len(names)), rng.integers(4)
+        if rng.random() < 0.5:
             poses[index, :3] += rng.normal(0, 0.02, 3)
-        if kind in (2, 3):
+        if turn == 1:
             poses[index, 3:] = random_quaternion(rng)
+        elif turn == 2:
+            poses[index, 3:] = yaw_quaternion(rng.uniform(0, 6))
+        elif turn == 3:
+            poses[index, 3] *= -1
         target = int(rng.integers(len(names)))
         followed = hidden(boxes, names, poses, target, projection=kept)
         assert followed == hidden(boxes, names, poses, target)
@@ -133,10 +137,12 @@ def test_a_target_hidden_beyond_the_frame_is_hidden_as_it_would_be_within(boxes,
     assert occlusion(bodies, CAMERA, poses, 0) == occlusion(bodies, wide, poses, 0)
 
 
-def test_a_lid_before_the_lens_hides_everything(boxes):
-    """It reaches behind the camera, so nothing tells where it ends in the image."""
-    poses = [at(0.05, 0, 0.015), at(0, 0, 0.9905)]
-    assert hidden(boxes, ["small0", "plate"], poses) == 1.0
+def test_a_splinter_before_the_lens_hides_everything(boxes, make_box):
+    """From 1.5 mm its end of 2 mm fills the view; a little farther off it would not."""
+    bodies = [body_of(boxes.models["small0"]), body_of(make_box("splinter", (0.002, 0.002, 0.03)))]
+    for z, share in ((0.9835, 1.0), (0.95, 0.0)):
+        poses = np.array([at(0.25, 0, 0.015), at(0, 0, z)])
+        assert occlusion(bodies, CAMERA, poses, 0) == share
 
 
 def test_a_target_too_thin_for_any_ray_counts_as_hidden(make_box):
