@@ -41,8 +41,8 @@ class Run:
         out: Folder for the actor.
     """
 
-    algorithm: Literal["ddpg", "td3", "sac"] = "sac"
-    actions: int = 120
+    algorithm: Literal["ddpg", "td3", "sac"] = "ddpg"
+    actions: int = 110
     seed: int = 0
     heaps: str = ""
     objects: str = "household"
