@@ -45,7 +45,7 @@ READERS = {
 }
 HEADS = (b"", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"PAR1", b"glTF\x02\x00\x00\x00", b"\x89PNG\r\n")
 MANY = settings(
-    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
