@@ -102,6 +102,22 @@ def save_archive(path: Path, archive: Archive) -> None:
     write_whole(path, lambda partial: save_file(tensors, partial, header))
 
 
+def kind_of(path: Path) -> str:
+    """Return what an archive is.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or not written by mechsearch.
+    """
+    if not path.is_file():
+        raise MechSearchError(f"no trained policy at {path}")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+    except (SafetensorError, ValueError, OSError) as error:
+        raise MechSearchError(f"{path} is damaged: {error}") from None
+    return str(_meta(header, str(path))["kind"])
+
+
 def load_archive(path: Path, kind: str) -> Archive:
     """Read an archive.
 
@@ -133,14 +149,19 @@ def _checksum(tensor: Tensor) -> int:
 def _verified(
     header: Mapping[str, str], tensors: Mapping[str, Tensor], what: str
 ) -> dict[str, Any]:
+    meta = _meta(header, what)
+    checks = meta.pop("checks")
+    for name, tensor in tensors.items():
+        if checks.get(name) != _checksum(tensor):
+            raise MechSearchError(f"{what} is damaged: {name!r} has another checksum")
+    return meta
+
+
+def _meta(header: Mapping[str, str], what: str) -> dict[str, Any]:
     check, _, text = header.get("mechsearch", "").partition(" ")
     if check != str(crc32(text.encode())):
         raise MechSearchError(f"{what} is damaged, or was not written by mechsearch: its header")
     meta: dict[str, Any] = json.loads(text or "{}")
     if not {"kind", "format", "checks"} <= set(meta):
         raise MechSearchError(f"{what} was not written by mechsearch")
-    checks = meta.pop("checks")
-    for name, tensor in tensors.items():
-        if checks.get(name) != _checksum(tensor):
-            raise MechSearchError(f"{what} is damaged: {name!r} has another checksum")
     return meta

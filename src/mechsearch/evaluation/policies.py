@@ -14,7 +14,7 @@ from mechsearch.runs import read_json
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
 
-TRAINED_LOADER = "mechsearch.agent.policy:load_actor"
+TRAINED_LOADER = "mechsearch.agent.trained:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 RUN_CONFIG = "config.json"

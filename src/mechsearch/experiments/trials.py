@@ -8,7 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mechsearch.agent.policy import ACTOR_FILE, load_actor
+from mechsearch.agent.policy import ACTOR_FILE
+from mechsearch.agent.trained import load_policy
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.policies import LOOK_AHEAD
@@ -129,7 +130,7 @@ class Training(Job):
         run_trial(self.config, inputs, self.directory, resume)
         done = {
             "actor": _digest(self.directory / ACTOR_FILE),
-            "training_actions": load_actor(self.directory).training_actions,
+            "training_actions": load_policy(self.directory).training_actions,
         }
         write_json(self.directory / FINISHED_FILE, done)
         write_curves(self.folder.curves, finished_runs(self.plan, self.folder))

@@ -28,6 +28,8 @@ class PushConfig:
         half: Bound on the path's horizontal coordinates [m].
         tolerance: Distance at which a waypoint counts as reached [m].
         patience: Actions without progress after which a waypoint is given up.
+        beside: Horizontal distance at which the approach may pass an object [m].
+        above: Height above an object at which it may pass over it [m].
     """
 
     reach: float = 0.15
@@ -38,6 +40,8 @@ class PushConfig:
     half: float = 0.29
     tolerance: float = 0.012
     patience: int = 2
+    beside: float = 0.08
+    above: float = 0.06
 
 
 @dataclass
@@ -113,8 +117,8 @@ class Teacher:
         heights = np.array([*objects[:, 2], start[2] - self.config.travel_clearance])
         travel = min(heights.max() + self.config.travel_clearance, self.config.highest)
         way: list[Floats] = []
-        if not _is_clear(ee, start, objects):
-            if ee[2] < travel - 0.03 and not _is_clear(ee, ee, objects):
+        if not self._is_clear(ee, start, objects):
+            if ee[2] < travel - 0.03 and not self._is_clear(ee, ee, objects):
                 way.append(np.array([ee[0], ee[1], travel]))
             way.append(np.array([start[0], start[1], travel]))
         self._follow([*way, *self._push])
@@ -150,15 +154,16 @@ class Teacher:
         half, config = self.config.half, self.config
         return np.clip(point, [-half, -half, config.lowest], [half, half, config.highest])
 
-
-def _is_clear(start: Floats, end: Floats, objects: Floats, radius: float = 0.08) -> bool:
-    """Return whether a straight motion passes beside or above all objects (N, 3)."""
-    span = end - start
-    length = float(span @ span)
-    along = (
-        np.clip((objects - start) @ span / length, 0, 1) if length > 0 else np.zeros(len(objects))
-    )
-    nearest = start + along[:, None] * span
-    beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > radius
-    above = nearest[:, 2] > objects[:, 2] + 0.06
-    return bool((beside | above).all())
+    def _is_clear(self, start: Floats, end: Floats, objects: Floats) -> bool:
+        """Return whether a straight motion passes beside or above all objects (N, 3)."""
+        span = end - start
+        length = float(span @ span)
+        along = (
+            np.clip((objects - start) @ span / length, 0, 1)
+            if length > 0
+            else np.zeros(len(objects))
+        )
+        nearest = start + along[:, None] * span
+        beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > self.config.beside
+        above = nearest[:, 2] > objects[:, 2] + self.config.above
+        return bool((beside | above).all())

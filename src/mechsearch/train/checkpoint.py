@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from mechsearch.agent.policy import ACTOR_FILE, ActorPolicy, save_actor
+from mechsearch.agent.policy import ACTOR_FILE
+from mechsearch.agent.trained import Trained, save_policy
 from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.train.config import TrainConfig, load_config, save_config
 from mechsearch.types import MechSearchError
@@ -50,10 +51,10 @@ class RunDirectory:
         for old in self._checkpoints()[:-_KEPT]:
             old.unlink()
 
-    def save_actor(self, step: int, policy: ActorPolicy) -> None:
-        """Write the actor as it is now, both by step and as the run's last."""
+    def save_actor(self, step: int, policy: Trained) -> None:
+        """Write the policy as it is now, both by step and as the run's last."""
         for path in (f"actors/step-{step:08d}.safetensors", ACTOR_FILE):
-            save_actor(policy, self.path / path)
+            save_policy(policy, self.path / path)
 
     def _checkpoints(self) -> list[Path]:
         return sorted((self.path / "checkpoints").glob("step-*.safetensors"))

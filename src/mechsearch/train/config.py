@@ -8,6 +8,8 @@ from mechsearch.agent.cloner import ClonerConfig
 from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.agent.exploration import NoiseConfig
 from mechsearch.agent.guidance import GuidanceConfig
+from mechsearch.agent.push_policy import PushPolicyConfig
+from mechsearch.agent.push_value import PushValueConfig
 from mechsearch.agent.records import record_from_json
 from mechsearch.runs import read_json, write_json
 from mechsearch.teachers import TEACHERS
@@ -60,6 +62,41 @@ class ImitationConfig:
 
 
 @dataclass(frozen=True)
+class PushLearningConfig:
+    """Learning what pushes bring, from episodes in which they are carried out.
+
+    Attributes:
+        networks: How many judge together; 0 is another way of learning.
+        tries: Pushes at each decision whose outcome is learnt from: the executed one, and others
+            that are only tried in the simulator from there. Without a simulator it is 1.
+        random_actions: Until so many actions are executed, pushes are random.
+        explore: Share of random pushes among the executed ones later.
+        ranked: Share of the tried pushes that are the best of what the policy judges, not random.
+        value: The network and its fit.
+        policy: How pushes are chosen.
+    """
+
+    networks: int = 0
+    tries: int = 12
+    random_actions: int = 1000
+    explore: float = 0.1
+    ranked: float = 0.5
+    value: PushValueConfig = field(default_factory=PushValueConfig)
+    policy: PushPolicyConfig = field(default_factory=PushPolicyConfig)
+
+    def __post_init__(self) -> None:
+        if self.networks < 0 or self.tries < 1 or self.random_actions < 0:
+            raise MechSearchError(
+                f"networks is {self.networks}, tries {self.tries} and random_actions "
+                f"{self.random_actions}; expected at least 0, 1 and 0"
+            )
+        if not (0 <= self.explore <= 1 and 0 <= self.ranked <= 1):
+            raise MechSearchError(
+                f"explore is {self.explore} and ranked {self.ranked}; expected shares in [0, 1]"
+            )
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """One training run.
 
@@ -86,6 +123,7 @@ class TrainConfig:
         guidance: The choice among actor and teachers.
         noise: Exploration of the actor.
         imitation: Imitation instead of reinforcement, where its updates are not 0.
+        pushes: Learning of pushes instead, where its networks are not 0.
     """
 
     name: str = "method"
@@ -109,6 +147,7 @@ class TrainConfig:
     guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    pushes: PushLearningConfig = field(default_factory=PushLearningConfig)
 
     def __post_init__(self) -> None:
         for name in ("actions", "warmup", "validation_heaps", "held_out_heaps"):
@@ -170,7 +209,8 @@ def _presets() -> Mapping[str, TrainConfig]:
         "no-teachers": replace(method, teachers=()),
         "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
         "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
-        "plus": replace(
+        "plus": replace(method, teachers=(), pushes=PushLearningConfig(networks=3)),
+        "clone": replace(
             method,
             actions=0,
             teachers=(),

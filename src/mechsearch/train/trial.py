@@ -18,6 +18,7 @@ from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.train.expert import LookAheadExpert
 from mechsearch.train.imitate import Expert, imitate
 from mechsearch.train.loop import train
+from mechsearch.train.push_loop import learn_pushes
 from mechsearch.types import MechSearchError
 
 INPUTS_FILE = "inputs.json"
@@ -77,6 +78,8 @@ def run_trial(
     shown = _demonstrations(config, inputs, heap_set)
     _record(inputs, heap_set, directory, resume, fingerprint(config.threads))
     parts = assemble(config, heap_set, objects)
+    if config.pushes.networks:
+        return learn_pushes(config, parts, directory, resume, progress)
     if shown is None:
         return train(config, parts, directory, resume, progress)
     return imitate(config, shown, directory, parts, _expert_for(parts.env), resume, progress)

@@ -1,0 +1,142 @@
+"""How a push looks: the images turned and moved into its own frame, and its numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.pushes.follow import PushFollower
+from mechsearch.pushes.push import KINDS, Push
+from mechsearch.pushes.sight import Sight
+from mechsearch.types import Floats
+
+PATCH = (4, 32, 32)
+"""Channels, rows and columns of a patch. Along a row the push goes forward, along a column to its
+left (right, where it is mirrored); the channels are the height above the table and that above the
+fingertip, both in decimetres, the visible target, and the push's own path."""
+
+_WIDTH = 0.025
+"""Distance from the path at which it is no longer drawn [m]: twice the end effector's radius."""
+
+CELL = 0.011
+"""Side of a patch's pixel [m]: that of an image of 64 px on the table."""
+
+NUMBERS = 15
+"""How many numbers describe a push beside its patch."""
+
+MIRRORED_NUMBERS = (0, 12)
+"""Which of them change their sign where left and right are exchanged."""
+
+STRAIGHT_NUMBER = 8
+"""Which of them is 1 for straight pushes and 0 for others."""
+
+
+@dataclass(frozen=True)
+class PushViews:
+    """How n pushes look from one observation.
+
+    Attributes:
+        patches: Images in the pushes' frames (n, *PATCH).
+        numbers: Place, lengths, heights and kind, roughly of size 1 (n, NUMBERS).
+        actions: How many each will take, approach included, as planned (n,).
+    """
+
+    patches: NDArray[np.float16]
+    numbers: NDArray[np.float32]
+    actions: NDArray[np.float32]
+
+
+def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
+    """Return how pushes look.
+
+    Raises:
+        MechSearchError: If no part of the target is visible.
+    """
+    followers = [PushFollower(push, sight) for push in pushes]
+    heights = np.array([follower.start[2] for follower in followers])
+    numbers = [_numbers(p, f, sight) for p, f in zip(pushes, followers, strict=True)]
+    actions = [follower.approach + follower.length for follower in followers]
+    return PushViews(
+        _patches(pushes, heights, sight),
+        np.array(numbers, np.float32).reshape(-1, NUMBERS),
+        np.array(actions, np.float32),
+    )
+
+
+def _patches(pushes: Sequence[Push], heights: Floats, sight: Sight) -> NDArray[np.float16]:
+    assert sight.centre is not None
+    along, across = (np.array(axes) for axes in zip(*(p.axes for p in pushes), strict=True))
+    middles = np.array([push.middle(sight.centre) for push in pushes])
+    u, v = _grid()
+    places = middles[:, None, None] + u[..., None] * along[:, None, None]
+    places = places + v[..., None] * across[:, None, None]
+    level = np.full((*places.shape[:-1], 1), max(sight.centre[2], 0.02))
+    pixels = sight.camera.project(np.concatenate([places, level], axis=-1))
+    layers = np.stack([sight.heights, sight.target.astype(np.float64)])
+    height, target = _sample(layers, pixels[..., 1], pixels[..., 0])
+    above = height - heights[:, None, None]
+    paths = np.array([_path_image(push) for push in pushes])
+    return np.stack([10 * height, 10 * above, target, paths], axis=1).astype(np.float16)
+
+
+@lru_cache(maxsize=1)
+def _grid() -> tuple[Floats, Floats]:
+    steps = (np.arange(PATCH[1]) - (PATCH[1] - 1) / 2) * CELL
+    u, v = np.meshgrid(steps, steps)
+    return u, v
+
+
+def _path_image(push: Push) -> Floats:
+    """Return a path in its push's own frame (32, 32): 1 on it, falling to 0 beside it."""
+    u, v = _grid()
+    cells = np.stack([u, v], axis=-1).reshape(-1, 2)
+    own = replace(push, direction=0.0, lateral=0.0, mirrored=False)
+    way = np.array(own.path(np.zeros(3), 0.0))[:, :2]
+    begins, steps = way[:-1], np.diff(way, axis=0)
+    lengths = np.maximum((steps * steps).sum(axis=1), 1e-12)
+    along = ((cells[:, None] - begins) * steps).sum(axis=-1) / lengths
+    nearest = begins + np.clip(along, 0, 1)[..., None] * steps
+    away = np.linalg.norm(cells[:, None] - nearest, axis=-1).min(axis=1)
+    image: Floats = np.maximum(1 - away / _WIDTH, 0).reshape(u.shape)
+    return image
+
+
+def _sample(layers: Floats, rows: Floats, columns: Floats) -> Floats:
+    """Return images (C, H, W) between pixels, at places (...,); 0 outside: (C, ...)."""
+    framed = np.pad(layers, ((0, 0), (1, 1), (1, 1)))
+    height, width = framed.shape[1:]
+    rows = np.clip(rows + 1, 0, height - 1.001)
+    columns = np.clip(columns + 1, 0, width - 1.001)
+    row, column = rows.astype(np.intp), columns.astype(np.intp)
+    down, right = rows - row, columns - column
+    flat, place = framed.reshape(len(framed), -1), row * width + column
+    upper = flat[:, place] * (1 - right) + flat[:, place + 1] * right
+    lower = flat[:, place + width] * (1 - right) + flat[:, place + width + 1] * right
+    sampled: Floats = upper * (1 - down) + lower * down
+    return sampled
+
+
+def _numbers(push: Push, follower: PushFollower, sight: Sight) -> list[float]:
+    assert sight.centre is not None
+    along, across = push.axes
+    middle, tip = push.middle(sight.centre), follower.start[2]
+    away = sight.ee_position[:2] - middle
+    return [
+        20 * float((middle - sight.centre[:2]) @ across),
+        8 * push.before,
+        8 * push.after,
+        push.turns,
+        10 * tip,
+        20 * (tip - sight.centre[2]),
+        10 * sight.centre[2],
+        float(sight.target.mean()) * 100,
+        float(push.kind == KINDS[0]),
+        follower.approach / 10,
+        follower.length / 10,
+        4 * float(away @ along),
+        4 * float(away @ across),
+        5 * (sight.ee_position[2] - tip),
+        float(follower.flies),
+    ]
