@@ -1,1 +1,1 @@
-"""Long tests: many actions, and processes killed again and again. `make soak` runs them."""
+"""Long tests: many actions, processes killed, rules broken on purpose. `make soak` runs them."""

@@ -1,4 +1,4 @@
-"""Run all long tests, or some: `python -m soak [actions] [generation] [training]`."""
+"""Run all long tests, or some: `python -m soak [actions] [generation] [training] [mutants]`."""
 
 import json
 import os
@@ -11,6 +11,7 @@ from benchmarks import machine
 from benchmarks.workload import find_workload
 from soak.actions import soak
 from soak.kills import kill_generation, kill_training
+from soak.mutants import mutate
 
 RESULTS = Path(__file__).with_name("results.json")
 KILLS = 30
@@ -18,6 +19,7 @@ TESTS = {
     "actions": lambda: soak(find_workload(), 100_000, 1000),
     "generation": lambda: kill_generation(KILLS),
     "training": lambda: kill_training(KILLS),
+    "mutants": mutate,
 }
 
 

@@ -18,6 +18,25 @@ def test_projecting_a_back_projected_pixel_returns_it(name, seed, size):
     np.testing.assert_allclose(projected[..., 2], depth, atol=1e-9)
 
 
+@given(st.sampled_from(list(PRESETS)), st.integers(0, 2**32 - 1), st.integers(8, 200))
+def test_a_point_lies_on_the_ray_of_its_own_pixel_at_its_own_depth(name, seed, size):
+    camera = preset(name, size)
+    point = np.random.default_rng(seed).uniform([-0.3, -0.3, 0], [0.3, 0.3, 0.25])
+    column, row, depth = camera.project(point)
+    ray = [(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0]
+    eye = camera.pose[:3, 3]
+    np.testing.assert_allclose(eye + depth * (camera.pose[:3, :3] @ ray), point, atol=1e-12)
+    assert depth == pytest.approx((point - eye) @ camera.pose[:3, 2])
+
+
+@given(st.sampled_from(list(PRESETS)), st.integers(8, 200), st.integers(8, 200))
+def test_a_resized_view_maps_pixels_in_proportion_and_back(name, one, other):
+    camera = preset(name, one)
+    point = [0.1, -0.07, 0.05]
+    before, after = camera.project(point)[:2], camera.resized(other).project(point)[:2]
+    np.testing.assert_allclose((after + 0.5) / other, (before + 0.5) / one, atol=1e-12)
+
+
 def test_overhead_columns_run_along_x_and_rows_against_y():
     column, row, depth = preset("overhead").project([0.1, 0.2, 0.0])
     assert depth == pytest.approx(1.0)

@@ -40,6 +40,45 @@ def test_a_product_rotates_by_the_right_factor_first(seed):
 
 
 @given(seeds)
+def test_a_random_quaternion_has_length_one_and_its_rotation_keeps_lengths_and_hands(seed):
+    q = random_quaternion(np.random.default_rng(seed))
+    assert np.linalg.norm(q) == pytest.approx(1, abs=1e-12)
+    rotation = rotation_from_quaternion(q)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-12)
+    np.testing.assert_allclose(rotation_from_quaternion(-q), rotation, atol=1e-15)
+
+
+@given(seeds)
+def test_products_of_quaternions_are_associative_and_the_conjugate_is_the_inverse(seed):
+    rng = np.random.default_rng(seed)
+    a, b, c = (random_quaternion(rng) for _ in range(3))
+    left = quaternion_product(quaternion_product(a, b), c)
+    np.testing.assert_allclose(left, quaternion_product(a, quaternion_product(b, c)), atol=1e-12)
+    product = quaternion_product(a, a * [1, -1, -1, -1])
+    np.testing.assert_allclose(product, [1, 0, 0, 0], atol=1e-12)
+
+
+@given(st.floats(-7, 7), st.floats(-7, 7))
+def test_yaws_add_up_and_leave_the_vertical_alone(one, other):
+    both = quaternion_product(yaw_quaternion(one), yaw_quaternion(other))
+    np.testing.assert_allclose(both, yaw_quaternion(one + other), atol=1e-12)
+    np.testing.assert_allclose(rotation_from_quaternion(both) @ [0, 0, 1], [0, 0, 1], atol=1e-12)
+
+
+@given(seeds)
+def test_transforms_are_carried_out_from_right_to_left(seed):
+    rng = np.random.default_rng(seed)
+    one, other = (
+        transform_from_pose([*rng.normal(size=3), *random_quaternion(rng)]) for _ in range(2)
+    )
+    points = rng.normal(size=(5, 3))
+    np.testing.assert_allclose(
+        apply(one @ other, points), apply(one, apply(other, points)), atol=1e-12
+    )
+
+
+@given(seeds)
 def test_an_inverse_undoes_a_transform(seed):
     rng = np.random.default_rng(seed)
     transform = transform_from_pose([*rng.normal(size=3), *random_quaternion(rng)])
@@ -61,6 +100,17 @@ def test_a_capped_vector_keeps_its_direction_and_never_exceeds_the_limit(seed, l
     capped = cap_length(vector, limit)
     assert np.linalg.norm(capped) <= limit * (1 + 1e-12) or np.array_equal(capped, vector)
     np.testing.assert_allclose(np.cross(capped, vector), 0, atol=1e-9)
+
+
+@given(seeds, st.floats(0.01, 10))
+def test_capping_twice_is_capping_once_and_short_vectors_stay_as_they_are(seed, limit):
+    vector = np.random.default_rng(seed).normal(size=3)
+    capped = cap_length(vector, limit)
+    np.testing.assert_allclose(cap_length(capped, limit), capped, rtol=1e-15)
+    length = np.linalg.norm(vector)
+    assert np.linalg.norm(capped) == pytest.approx(min(length, limit))
+    if length < limit * (1 - 1e-12):
+        np.testing.assert_array_equal(capped, vector)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 15, 64])

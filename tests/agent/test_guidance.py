@@ -1,3 +1,5 @@
+from statistics import fmean, pvariance
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -109,6 +111,34 @@ def test_a_belief_is_the_mean_and_variance_of_its_samples():
 def test_impossible_guidance_is_refused(wrong):
     with pytest.raises(MechSearchError, match="expected"):
         GuidanceConfig(**wrong)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.integers(1, 30))
+def test_hands_change_to_the_better_and_never_to_the_worse(seed, candidates, turns):
+    rng = np.random.default_rng(seed)
+    guidance = Guidance(GuidanceConfig())
+    for _ in range(turns):
+        draws = rng.normal(rng.normal(0, 2, candidates), rng.uniform(0.01, 3), (20, candidates))
+        before, bar = guidance.current, 0.6 * 0.99**guidance.overruled
+        row = int(rng.integers(20))
+        after = guidance.choose(draws, _picks(row))
+        best = max(range(candidates), key=lambda i: draws[row, i])
+        if before is None:
+            assert after == best
+            continue
+        means, variances = draws.mean(0), ((draws - draws.mean(0)) ** 2).mean(0)
+        spread = np.sqrt(variances[best] + variances[before] + 0.1)
+        better = norm.cdf((means[best] - means[before]) / spread) > bar
+        assert after == (best if better else before)
+        if after != before and bar >= 0.5:
+            assert means[after] > means[before]
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=50))
+def test_beliefs_agree_with_the_statistics_of_plain_lists(draws):
+    found = belief(np.array(draws))
+    assert found.mean == pytest.approx(fmean(draws), abs=1e-9)
+    assert found.variance == pytest.approx(pvariance(draws), abs=1e-6)
 
 
 class _picks:  # noqa: N801

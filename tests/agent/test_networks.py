@@ -1,3 +1,5 @@
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
@@ -80,6 +82,19 @@ def test_a_dropout_sample_equals_the_masked_network_written_out():
         x = torch.relu(functional.linear(x, second.weight, second.bias)) * masks[1][k]
         expected = functional.linear(x, critic.output.weight, critic.output.bias)[:, 0]
         torch.testing.assert_close(critic(obs, action, masks)[k], expected)
+
+
+def test_dropout_samples_have_the_mean_and_variance_of_all_masks_there_are():
+    torch.manual_seed(0)
+    critic = Critic(LOW, NetworkConfig(hidden=(4, 3), output_bound=1.0), dropout=0.5)
+    obs, action = observations(LOW, 1), torch.rand(1, 3)
+    patterns = torch.tensor(list(product((0.0, 2.0), repeat=7)))
+    every = critic(obs, action, [patterns[:, None, :4], patterns[:, None, 4:]]).double()
+    masks = critic.draw_masks(20_000, 1, torch.Generator().manual_seed(0))
+    drawn = critic(obs, action, masks).double()
+    assert every.std() > 0.1
+    assert drawn.mean().item() == pytest.approx(every.mean().item(), abs=0.03 * every.std().item())
+    assert drawn.var().item() == pytest.approx(every.var(correction=0).item(), rel=0.05)
 
 
 def test_masks_keep_the_asked_share_and_the_mean():

@@ -126,6 +126,12 @@ def test_a_short_run_stores_only_used_rows():
     assert len(replay.state()["action"]) == 4
 
 
+def test_after_an_episode_nothing_waits_for_its_next_observation():
+    replay = empty()
+    play(replay, 0, 3, terminated=True)
+    assert replay.state()["place"].tolist() == [4, -1]
+
+
 def test_state_of_other_observations_is_refused():
     other = Replay({"depth": (1, 4, 4), "who": (2,)}, {"depth": "f2", "who": "i8"}, 10)
     replay = empty()

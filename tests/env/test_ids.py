@@ -1,19 +1,31 @@
+from pathlib import Path
+
 import gymnasium
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker
 
 import mechsearch
-from mechsearch.types import ACTOR_KEYS, MechSearchError
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
-IDS = ("mechsearch/SingleHeap-v0", "mechsearch/DualHeap-v0")
+IDS = sorted(name for name in gymnasium.registry if name.startswith("mechsearch/"))
 
 
+def test_the_registered_ids_are_those_of_the_guide():
+    assert IDS == ["mechsearch/DualHeap-v0", "mechsearch/SingleHeap-v0"]
+    guide = (Path(__file__).parents[2] / "docs" / "environment.md").read_text()
+    assert all(name in guide for name in IDS)
+
+
+@pytest.mark.parametrize("view", [{}, {"privileged": True}, {"keys": RGB_ACTOR_KEYS}])
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasiums_and_stable_baselines_checkers_pass(name):
-    env = gymnasium.make(name, disable_env_checker=True, render_mode="rgb_array").unwrapped
-    assert set(env.observation_space) == set(ACTOR_KEYS)
+def test_gymnasiums_and_stable_baselines_checkers_pass(name, view):
+    env = gymnasium.make(name, disable_env_checker=True, render_mode="rgb_array", **view).unwrapped
+    expected = set(view.get("keys", ACTOR_KEYS))
+    assert set(env.observation_space) == expected | set(
+        PRIVILEGED_KEYS if "privileged" in view else ()
+    )
     check_env(env)
     env_checker.check_env(env)
 

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.env.reward import RewardConfig, terms, uncovering_gain
+from mechsearch.env.reward import (
+    RewardConfig,
+    clutter_movement,
+    idleness,
+    terms,
+    uncovering_gain,
+)
 from mechsearch.types import MechSearchError
 
 CONFIG = RewardConfig()
@@ -28,6 +34,13 @@ def test_a_gain_of_five_percent_excuses_and_a_smaller_one_does_not():
     moved = np.array([0.02])
     assert terms(0.4, 0.38, moved, 0.0, False, CONFIG).clutter_movement == 0.0
     assert terms(0.4, 0.381, moved, 0.0, False, CONFIG).clutter_movement == pytest.approx(-1.5)
+
+
+def test_limits_are_where_the_rules_say():
+    assert clutter_movement(CONFIG.gain_that_excuses, np.array([0.02]), CONFIG) == 0.0
+    option = RewardConfig(idle_when="nothing moved")
+    assert idleness(option.still, option) == -0.5
+    assert idleness(np.nextafter(option.still, 1), option) == 0.0
 
 
 def test_moving_the_target_is_never_excused():

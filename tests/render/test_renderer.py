@@ -79,6 +79,23 @@ def test_the_pusher_hides_pixels_but_has_no_amodal_mask(boxes):
     assert frame.modal(0).sum() < frame.amodal[0].sum()
 
 
+@pytest.mark.parametrize("view", ["overhead", "tilted"])
+def test_what_fills_the_view_fills_its_first_and_last_pixels(make_box, view):
+    camera = preset(view)
+    wall = make_box("wall", (2.0, 2.0, 0.01))
+    ahead = camera.pose[:3, 3] + 0.3 * camera.pose[:3, 2]
+    frame = Renderer([wall]).frame(camera, [[*ahead, 1, 0, 0, 0]])
+    assert frame.modal(0).all()
+    assert frame.amodal[0].all()
+
+
+def test_a_splinter_before_the_lens_fills_the_whole_view(make_box):
+    """Its end of 2 mm is 1.5 mm from the camera, whose plane it nearly reaches."""
+    splinter = make_box("splinter", (0.002, 0.002, 0.03))
+    frame = Renderer([splinter]).frame(preset("overhead"), [[0, 0, 0.9835, 1, 0, 0, 0]])
+    assert frame.modal(0).all()
+
+
 def test_colours_are_looked_up_where_the_object_is(boxes):
     renderer = Renderer([boxes.models["cube"]])
     frame = renderer.frame(preset("overhead"), [[0, 0, 0.03, 1, 0, 0, 0]], colour=True)

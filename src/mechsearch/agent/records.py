@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from mechsearch.types import MechSearchError
 
@@ -18,8 +18,11 @@ def record_from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
     """Return a dataclass, nested ones included, from what `dataclasses.asdict` and JSON made.
 
     Raises:
-        MechSearchError: If a field is unknown; fields left out keep their defaults.
+        MechSearchError: If a field is unknown or its value of another kind; fields left out keep
+            their defaults.
     """
+    if not isinstance(data, Mapping):
+        raise MechSearchError(f"a {kind.__name__} is {data!r}; expected values by field")
     hints = get_type_hints(kind)
     known = [field.name for field in fields(kind) if field.init]
     unknown = [name for name in data if name not in known]
@@ -27,10 +30,17 @@ def record_from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
         raise MechSearchError(
             f"{kind.__name__} has no {', '.join(unknown)}; it has {', '.join(known)}"
         )
-    return kind(**{name: _value(hints[name], value) for name, value in data.items()})
+    return kind(**{name: _value(hints[name], name, value) for name, value in data.items()})
 
 
-def _value(kind: Any, value: Any) -> Any:
+def _value(kind: Any, name: str, value: Any) -> Any:
     if isinstance(kind, type) and is_dataclass(kind):
         return record_from_json(kind, value)
-    return tuple(value) if isinstance(value, list) else value
+    if get_origin(kind) is tuple and isinstance(value, list):
+        inner = get_args(kind)[0]
+        return tuple(_value(inner, name, entry) for entry in value)
+    expected = (int, float) if kind is float else (get_origin(kind) or kind)
+    # JSON's true is no number.
+    if isinstance(value, bool) != (kind is bool) or not isinstance(value, expected):
+        raise MechSearchError(f"{name} is {value!r}; expected {getattr(kind, '__name__', kind)}")
+    return value

@@ -161,5 +161,7 @@ def _meta(header: Mapping[str, str], what: str) -> dict[str, Any]:
     check, _, text = header.get("mechsearch", "").partition(" ")
     if check != str(crc32(text.encode())):
         raise MechSearchError(f"{what} is damaged, or was not written by mechsearch: its header")
-    meta: dict[str, Any] = json.loads(text)
+    meta: dict[str, Any] = json.loads(text or "{}")
+    if not {"kind", "format", "checks"} <= set(meta):
+        raise MechSearchError(f"{what} was not written by mechsearch")
     return meta

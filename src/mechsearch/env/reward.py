@@ -24,7 +24,7 @@ class RewardConfig:
         idle_when: "every action", or only when "nothing moved"; the paper leaves it open.
         least_occlusion: Smallest denominator of the relative uncovering: below it the target
             counts as completely visible.
-        still: Displacement below which an object has not moved [m].
+        still: Displacement up to which an object has not moved [m].
     """
 
     uncovering: float = 2.5
@@ -64,7 +64,7 @@ NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0, 0.0)
 
 def uncovering_gain(before: float, after: float, least: float) -> float:
     """Return the relative change in occlusion, in [-1, 1]; positive when more is visible."""
-    return min(max((before - after) / max(before, least), -1.0), 1.0)
+    return max((before - after) / max(before, least), -1.0)
 
 
 def uncovering(gain: float, config: RewardConfig) -> float:

@@ -105,7 +105,9 @@ class GraspFolder:
         """Write a shard and enter it into the manifest."""
         arrays = {field: getattr(grasps, field) for field in _FIELDS}
         file = self.path / name
-        write_whole(file, lambda partial: np.savez_compressed(partial, **arrays))
+        write_whole(
+            file, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays)
+        )
         self._manifest["shards"][name] = {
             "sha256": _sha256(file),
             "grasps": len(grasps),

@@ -123,6 +123,8 @@ def load(path: Path) -> HeapSet:
         recorded = metadata[b"sha256"].decode()
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise MechSearchError(f"{path} is not a heap set, or is damaged: {error}") from None
+    if not isinstance(manifest, dict):
+        raise MechSearchError(f"{path} is not a heap set: its manifest is {manifest!r}")
     if manifest.get("format") != FORMAT:
         raise MechSearchError(
             f"{path} has heap set format {manifest.get('format')}; this version reads {FORMAT}"

@@ -22,6 +22,7 @@ def main(source: str, destination: str) -> None:
         destination,
         points=np.concatenate(points),
         sizes=np.array([len(part) for part in points]),
+        allow_pickle=False,
     )
 
 

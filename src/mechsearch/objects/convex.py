@@ -96,6 +96,7 @@ def _decompose(mesh: trimesh.Trimesh, time_limit: float) -> tuple[Floats, ...]:
             faces=mesh.faces,
             threshold=THRESHOLD,
             most=MOST_PARTS,
+            allow_pickle=False,
         )
         subprocess.run(
             [sys.executable, "-P", str(_SCRIPT), str(source), str(result)],

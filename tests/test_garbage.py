@@ -1,0 +1,198 @@
+"""Files that hold anything at all: every reader answers with a MechSearchError, or reads them."""
+
+import io
+import json
+import warnings
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import safetensors.numpy
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from mechsearch.agent.policy import load_actor
+from mechsearch.evaluation import episodes, summary
+from mechsearch.grasp.image_file import read_view
+from mechsearch.grasp.network import load_network
+from mechsearch.heaps import dataset
+from mechsearch.objects.archive import model_from_npz
+from mechsearch.objects.masses import read_masses
+from mechsearch.objects.mesh_file import read_pieces
+from mechsearch.runs import read_json
+from mechsearch.train.config import TrainConfig, load_config
+from mechsearch.types import MechSearchError
+
+READERS = {
+    "heaps.parquet": dataset.load,
+    "episodes.npz": episodes.load,
+    "config.json": load_config,
+    "actor.safetensors": load_actor,
+    "grasp.safetensors": load_network,
+    "grasp.npz": load_network,
+    "masses.csv": read_masses,
+    "summary.csv": summary.read,
+    "object.npz": model_from_npz,
+    "mesh.obj": read_pieces,
+    "mesh.stl": read_pieces,
+    "mesh.glb": read_pieces,
+    "view.npz": lambda path: read_view(path, None, None),
+    "view.npy": lambda path: read_view(path, path, path),
+    "view.png": lambda path: read_view(path, path, path),
+    "view.json": lambda path: read_json(path, "view"),
+}
+HEADS = (b"", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"PAR1", b"glTF\x02\x00\x00\x00", b"\x89PNG\r\n")
+MANY = settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+json_values = st.recursive(
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+
+
+def answered(reader, path):
+    """Let a reader meet a file; anything but an answer or a MechSearchError fails the test."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return reader(path)
+        except MechSearchError as error:
+            assert str(error).strip()  # noqa: PT017
+            return None
+
+
+@pytest.mark.parametrize("name", READERS)
+@MANY
+@given(head=st.sampled_from(HEADS), body=st.binary(max_size=200))
+def test_bytes_of_any_kind_are_refused_in_words(name, head, body, tmp_path):
+    (tmp_path / name).write_bytes(head + body)
+    answered(READERS[name], tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["masses.csv", "summary.csv", "mesh.obj", "config.json"])
+@MANY
+@given(text=st.text(alphabet="object,mass_kg\n\"'-.0123456789eE vf/#{}[]:nan\x00é", max_size=120))
+def test_text_of_any_kind_is_refused_in_words(name, text, tmp_path):
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    answered(READERS[name], tmp_path / name)
+
+
+@MANY
+@given(rows=st.text(alphabet='ab,"\n 1.e-nainf', max_size=60))
+def test_a_table_of_masses_holds_positive_numbers_or_is_refused(rows, tmp_path):
+    (tmp_path / "masses.csv").write_text("object,mass_kg\n" + rows, encoding="utf-8")
+    entries = answered(read_masses, tmp_path / "masses.csv") or {}
+    assert all(0 < entry.mass < float("inf") for entry in entries.values())
+
+
+@MANY
+@given(value=json_values)
+@example(value=[])
+@example(value={"name": 3})
+def test_json_of_any_shape_is_a_configuration_or_refused(value, tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps(value))
+    config = answered(load_config, tmp_path / "config.json")
+    assert config is None or isinstance(config, TrainConfig)
+
+
+@MANY
+@given(
+    name=st.sampled_from([*TrainConfig.__dataclass_fields__]),
+    inner=st.sampled_from(["", "gamma", "network", "hidden", "sigma", "updates", "cloner"]),
+    value=json_values,
+)
+def test_a_configuration_with_any_field_replaced_is_one_or_is_refused(name, inner, value, tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({name: {inner: value} if inner else value}))
+    config = answered(load_config, tmp_path / "config.json")
+    assert config is None or isinstance(config, TrainConfig)
+
+
+@MANY
+@given(text=json_values, rows=st.integers(0, 3))
+def test_an_archive_of_other_arrays_is_no_evaluation(text, rows, tmp_path):
+    for name in ("episodes.npz", "object.npz", "grasp.npz", "view.npz"):
+        np.savez(
+            tmp_path / name,
+            text=np.array(json.dumps(text)),
+            depth=np.ones((rows, rows)),
+            mask=np.ones(rows),
+            K=np.zeros((3, 3)),
+            allow_pickle=False,
+        )
+        answered(READERS[name], tmp_path / name)
+
+
+@MANY
+@given(
+    part=st.sampled_from(["header", "terms", "episodes", "format"]),
+    value=json_values,
+)
+def test_an_evaluation_with_any_part_replaced_is_one_or_is_refused(
+    part, value, small_evaluation, tmp_path
+):
+    with np.load(small_evaluation, allow_pickle=False) as file:
+        arrays = dict(file)
+    text = json.loads(str(arrays["text"]))
+    text[part] = value
+    arrays["text"] = np.array(json.dumps(text))
+    np.savez(tmp_path / "episodes.npz", allow_pickle=False, **arrays)
+    answered(episodes.load, tmp_path / "episodes.npz")
+
+
+@pytest.fixture(scope="module")
+def small_evaluation(tmp_path_factory):
+    path = tmp_path_factory.mktemp("evaluation") / "episodes.npz"
+    record = episodes.EpisodeRecord(
+        1, 2, "single", "idle", ("a", "b"), 0, np.zeros((1, 3), np.float32), np.zeros((2, 3)),
+        np.zeros(2), np.zeros((2, 2, 7)), {"idleness": np.zeros(1)}, np.zeros(1), np.zeros(1),
+        "action limit", 50,
+    )  # fmt: skip
+    episodes.save(path, episodes.Evaluation({"name": "idle"}, (record,)))
+    return path
+
+
+@MANY
+@given(manifest=json_values, poses=st.lists(st.floats(), max_size=9), drop=st.integers(0, 8))
+def test_a_table_of_other_rows_is_no_heap_set(manifest, poses, drop, tmp_path):
+    row = {
+        "objects": ["a"], "poses": poses, "target": 0, "occlusion": 0.5, "seed": 1, "count": 1,
+        "condition": "single", "held_out": False,
+    }  # fmt: skip
+    row = dict(list(row.items())[:drop])
+    table = pa.Table.from_pylist([row]).replace_schema_metadata(
+        {b"mechsearch": json.dumps(manifest).encode(), b"sha256": b"0"}
+    )
+    pq.write_table(table, tmp_path / "heaps.parquet")
+    assert answered(dataset.load, tmp_path / "heaps.parquet") is None
+
+
+@MANY
+@given(meta=json_values)
+def test_weights_of_another_origin_are_refused(meta, tmp_path):
+    header = {"mechsearch": json.dumps(meta)}
+    for name in ("actor.safetensors", "grasp.safetensors"):
+        safetensors.numpy.save_file({"x": np.zeros(2, np.float32)}, tmp_path / name, header)
+        assert answered(READERS[name], tmp_path / name) is None
+
+
+@pytest.mark.parametrize("kind", ["L", "RGB", "RGBA", "1", "I;16"])
+@MANY
+@given(width=st.integers(1, 12), height=st.integers(1, 12), camera=json_values)
+def test_pictures_of_any_size_and_intrinsics_of_any_shape(kind, width, height, camera, tmp_path):
+    picture = io.BytesIO()
+    Image.new(kind, (width, height)).save(picture, "png")
+    (tmp_path / "view.png").write_bytes(picture.getvalue())
+    names = ("fx", "fy", "cx", "cy")
+    for value in (camera, dict.fromkeys(names, camera), dict.fromkeys(names, 1.0)):
+        (tmp_path / "camera.json").write_text(json.dumps(value))
+        answered(
+            lambda path: read_view(path, path, tmp_path / "camera.json"), tmp_path / "view.png"
+        )
