@@ -28,8 +28,8 @@ class Projection:
     Attributes:
         starts: The camera in each body's frame (N, 3) [m].
         rotations: Of the bodies (N, 3, 3).
-        bounds: Where each appears (N, 4): the least y / z in the camera's frame and the greatest,
-            negated, then the same of x / z.
+        bounds: Where each appears (N, 4): the least y / z in the camera's frame and the greatest, then
+            the same of x / z.
         near: Which come too near to the camera's plane to tell (N,).
     """
 
@@ -50,9 +50,9 @@ class Projection:
     def place(self, poses: Floats) -> None:
         """Place the first bodies at poses (n, 7); those that lie as before cost nothing."""
         changed = poses != self._poses[: len(poses)]
-        which = changed.any(axis=1).nonzero()[0]
-        if not len(which):
+        if not changed.any():
             return
+        which = changed.any(axis=1).nonzero()[0]
         turned = changed[:, 3:].any(axis=1).nonzero()[0]
         if len(turned):
             self._turn(turned, poses[turned, 3:])
@@ -63,7 +63,7 @@ class Projection:
         z = local[..., 2:]
         slopes = local[..., 1::-1] / np.maximum(z, _NEAREST)
         self.bounds[which, ::2] = slopes.min(axis=1)
-        self.bounds[which, 1::2] = -slopes.max(axis=1)
+        self.bounds[which, 1::2] = slopes.max(axis=1)
         self.near[which] = z.min(axis=(1, 2)) < _NEAREST
 
     def _turn(self, which: NDArray[np.intp], quaternions: Floats) -> None:
@@ -79,12 +79,17 @@ def corners_of(bodies: tuple[Body, ...]) -> Floats:
     return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
 
 
-def overlaps(blocks: NDArray[np.intp], block: Block) -> NDArray[np.intp]:
-    """Return the parts (n, 4) of some blocks that lie in another, counted from its corner."""
+def overlaps(blocks: NDArray[np.intp], block: Block) -> list[Block]:
+    """Return the parts of some blocks (n, 4) that lie in another, counted from its corner."""
     top, bottom, left, right = block
     corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
-    inside: NDArray[np.intp] = np.clip(blocks - corner, 0, size)
-    return inside
+    return _clipped(blocks - corner, np.array(size))
+
+
+def _clipped(blocks: NDArray[np.intp], size: NDArray[np.intp]) -> list[Block]:
+    # `np.clip` takes four times as long for so few numbers.
+    clipped: list[Block] = np.minimum(np.maximum(blocks, 0), size).tolist()
+    return clipped
 
 
 class View:
@@ -94,7 +99,8 @@ class View:
         """Take a camera's pose and intrinsics."""
         self.camera = camera
         self.height, self.width = camera.height, camera.width
-        self._focal = np.repeat([camera.fy, camera.fx], 2)
+        self._size = np.array([camera.height, camera.height, camera.width, camera.width])
+        self._focal = np.array([camera.fy, -camera.fy, camera.fx, -camera.fx])
         self._principal = np.array([camera.cy, -camera.cy, camera.cx, -camera.cx])
 
     @cached_property
@@ -117,6 +123,10 @@ class View:
         if near.any():
             blocks[near] = [0, self.height, 0, self.width]
         return blocks
+
+    def visible_blocks(self, projection: Projection, bodies: slice) -> list[Block]:
+        """Return where in the frame some bodies may appear."""
+        return _clipped(self.blocks(projection, bodies), self._size)
 
     def _directions(self, block: Block) -> NDArray[np.float32]:
         camera = self.camera
