@@ -125,7 +125,7 @@ class Renderer:
         self._table_half = table_half
         self._floor = floor
         self._seen: dict[Camera, _Seen] = {}
-        self._projections: dict[bytes, Projection] = {}
+        self._projections: dict[tuple[float, ...], Projection] = {}
 
     def frame(
         self, camera: Camera, poses: Array, pusher: Array | None = None, colour: bool = False
@@ -161,7 +161,7 @@ class Renderer:
 
         Views of the same camera at other resolutions share it.
         """
-        key = camera.pose.tobytes()
+        key = camera.world_from_camera
         if key not in self._projections:
             self._projections[key] = Projection(camera, self._all)
         return self._projections[key]
