@@ -37,7 +37,8 @@ def position_image(
     if not z.all():
         pixels, z = pixels[z > 0], z[z > 0]
     origin, rays = _rays(camera)
-    image.reshape(3, -1)[:, pixels] = rays.take(pixels, axis=1) * z + (origin - ee_position)[:, None]
+    offsets = rays.take(pixels, axis=1) * z + (origin - ee_position)[:, None]
+    image.reshape(3, -1)[:, pixels] = offsets
     return image
 
 

@@ -28,8 +28,8 @@ class Projection:
     Attributes:
         starts: The camera in each body's frame (N, 3) [m].
         rotations: Of the bodies (N, 3, 3).
-        bounds: Where each appears (N, 4): the least y / z in the camera's frame and the greatest, then
-            the same of x / z.
+        bounds: Where each appears (N, 4): the least and the greatest y / z in the camera's frame,
+            then the same of x / z.
         near: Which come too near to the camera's plane to tell (N,).
     """
 

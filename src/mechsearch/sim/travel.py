@@ -56,7 +56,8 @@ class Outlines:
         self._starts = [np.cumsum([0, *(len(part) for part in own[:-1])]) for own in parts]
         ends = np.cumsum([0, *(len(own) for own in parts)])
         self._rows = [slice(start, end) for start, end in pairwise(ends.tolist())]
-        self._low, self._high = np.zeros((2, ends[-1], 3))
+        # Axis by axis in memory: many boxes are compared with one at once.
+        self._low, self._high = np.zeros((2, 3, ends[-1])).swapaxes(1, 2)
         self._poses = np.full((len(parts), 7), np.nan)
 
     def boxes(self, poses: Floats) -> tuple[Floats, Floats]:
