@@ -8,8 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from mechsearch.types import Floats
 
 
-def _rotation_terms() -> Floats:
-    """Return what the products of a quaternion's entries (16,) contribute to its matrix (9,)."""
+def _rotation_terms() -> tuple[NDArray[np.intp], Floats]:
+    """Return which products (4, 9) of a quaternion's entries make its matrix, with which weights.
+
+    Of the 16 products at most 4 contribute to an entry; those that fill up to 4 weigh nothing.
+    """
     terms = np.zeros((4, 4, 3, 3))
     for i in range(3):
         terms[0, 0, i, i] = 1.0
@@ -20,10 +23,12 @@ def _rotation_terms() -> Floats:
     for row, column, axis in ((2, 1, 1), (0, 2, 2), (1, 0, 3)):
         terms[0, axis, row, column] += 2.0
         terms[0, axis, column, row] -= 2.0
-    return terms.reshape(16, 9)
+    weights = terms.reshape(16, 9)
+    which = np.argsort(weights == 0.0, axis=0, kind="stable")[:4]
+    return which, np.take_along_axis(weights, which, axis=0)
 
 
-_ROTATION_TERMS = _rotation_terms()
+_PRODUCTS, _WEIGHTS = _rotation_terms()
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
@@ -32,9 +37,9 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
     Each has the same bits whatever others are asked for with it.
     """
     q = np.asarray(quaternion, dtype=np.float64)
-    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16, 1)
+    products = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
     # A matrix product would round a single one otherwise than one of many.
-    rotations: Floats = (products * _ROTATION_TERMS).sum(axis=-2)
+    rotations: Floats = (products.take(_PRODUCTS, axis=-1) * _WEIGHTS).sum(axis=-2)
     return rotations.reshape(*q.shape[:-1], 3, 3)
 
 

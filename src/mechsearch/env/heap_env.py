@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import gymnasium
@@ -220,12 +221,12 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             self._update_poses()
             way = self._poses[:, :3] - poses[:, :3]
             moved = np.sqrt((way * way).sum(axis=1)) * present
-            if not np.array_equal(self._poses, poses):
+            if (self._poses != poses).any():
                 self._occlusion = self._measure_occlusion()
         clutter = moved[others(self.heap.target, len(moved))]
         reward = terms(
             before, self._occlusion, clutter, float(moved[self.heap.target]),
-            bool(np.abs(command - target).max() > 1e-9), self.config.reward,
+            max(map(abs, (command - target).tolist())) > 1e-9, self.config.reward,
         )  # fmt: skip
         lost = not self._present[self.heap.target]
         uncovered = not lost and self._occlusion <= self.config.uncovered_at
@@ -385,6 +386,7 @@ def _displacement(action: Array) -> Floats:
     values = np.asarray(action, np.float64)
     if values.shape != (3,):
         raise MechSearchError(f"an action has shape (3,), in [-1, 1]; got shape {values.shape}")
-    if not np.isfinite(values).all():
+    numbers = values.tolist()
+    if not all(map(isfinite, numbers)):
         raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
-    return cap_length(np.minimum(np.maximum(values, -1.0), 1.0) * ACTION_LENGTH, ACTION_LENGTH)
+    return cap_length([min(max(n, -1.0), 1.0) * ACTION_LENGTH for n in numbers], ACTION_LENGTH)

@@ -32,12 +32,13 @@ def position_image(
             f"mask {mask.shape} and depth {depth.shape} must both be the camera's {shape}"
         )
     image = np.zeros((3, *shape), np.float16)
-    pixels = np.flatnonzero(mask)
-    z = depth.ravel()[pixels]
+    pixels = mask.ravel().nonzero()[0]
+    z = depth.take(pixels)
     if not z.all():
         pixels, z = pixels[z > 0], z[z > 0]
     origin, rays = _rays(camera)
-    image.reshape(3, -1)[:, pixels] = rays[:, pixels] * z + (origin - ee_position)[:, None]
+    offsets = rays.take(pixels, axis=1) * z + (origin - ee_position)[:, None]
+    image.reshape(3, -1)[:, pixels] = offsets
     return image
 
 

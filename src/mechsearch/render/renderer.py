@@ -5,7 +5,7 @@ amodal mask. What an object shows is kept until it moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.body import NO_HIT, body_of
-from mechsearch.render.view import Block, Projection, View, overlaps
+from mechsearch.render.view import Block, Projection, View
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -85,7 +85,7 @@ class _Seen:
         empty: Depth (H, W) of table and floor.
         colour: Likewise (H, W, 3).
         endless: Whether there are pixels of `empty` without anything, where it is infinite.
-        poses: Of the objects (N, 7).
+        poses: Of the objects (N, 7); not a number before the first frame.
         patches: Of the objects.
         depth: Of table, floor and objects (H, W), infinite where nothing is.
     """
@@ -96,9 +96,9 @@ class _Seen:
     empty: NDArray[np.float32]
     colour: NDArray[np.uint8]
     endless: bool
-    poses: Array = field(default_factory=lambda: np.empty(0))
-    patches: tuple[Patch, ...] = ()
-    depth: NDArray[np.float32] | None = None
+    poses: Floats
+    patches: tuple[Patch, ...]
+    depth: NDArray[np.float32]
 
 
 class Renderer:
@@ -125,7 +125,7 @@ class Renderer:
         self._table_half = table_half
         self._floor = floor
         self._seen: dict[Camera, _Seen] = {}
-        self._projections: dict[bytes, Projection] = {}
+        self._projections: dict[tuple[float, ...], Projection] = {}
 
     def frame(
         self, camera: Camera, poses: Array, pusher: Array | None = None, colour: bool = False
@@ -161,19 +161,24 @@ class Renderer:
 
         Views of the same camera at other resolutions share it.
         """
-        key = camera.pose.tobytes()
+        key = camera.world_from_camera
         if key not in self._projections:
             self._projections[key] = Projection(camera, self._all)
         return self._projections[key]
 
     def _looking(self, camera: Camera) -> _Seen:
-        if camera not in self._seen:
-            view = View(camera)
+        seen = self._seen.get(camera)
+        if seen is None:
+            view, count = View(camera), len(self.bodies)
             rays = view.all_rays
-            depth, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
-            endless = bool((depth > NO_HIT).any())
-            self._seen[camera] = _Seen(view, self.projection(camera), rays, depth, colour, endless)
-        return self._seen[camera]
+            empty, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
+            nothing = Patch((slice(0), slice(0)), empty[:0, :0])
+            seen = self._seen[camera] = _Seen(
+                view, self.projection(camera), rays, empty, colour,
+                endless=bool((empty > NO_HIT).any()),
+                poses=np.full((count, 7), np.nan), patches=(nothing,) * count, depth=empty,
+            )  # fmt: skip
+        return seen
 
     def _heap(
         self, seen: _Seen, states: Floats, pusher: Array | None
@@ -187,38 +192,28 @@ class Renderer:
             seen.projection.place(np.concatenate([states, np.asarray(pusher, np.float64)[None]]))
         else:
             seen.projection.place(states)
-        depth, which = seen.depth, list(range(count))
-        if depth is not None:
-            which = (states != seen.poses).any(axis=1).nonzero()[0].tolist()
-        if depth is None or which:
-            blocks = self._blocks(seen, slice(count))
-            patches = list(seen.patches) or [_nothing(seen)] * count
-            for i in which:
+        moved = (states != seen.poses).any(axis=1).nonzero()[0].tolist()
+        blocks = seen.view.visible_blocks(seen.projection, slice(0 if moved else count, None))
+        if moved:
+            patches = list(seen.patches)
+            for i in moved:
                 patches[i] = self._cast(seen, i, blocks[i])
             depth = seen.empty.copy()
             for patch in patches:
                 _compose(depth, patch)
             seen.patches, seen.poses, seen.depth = tuple(patches), states.copy(), depth
         if self._pusher is None or pusher is None:
-            return depth, None
-        (block,) = self._blocks(seen, slice(count, count + 1))
-        return depth, self._cast(seen, count, block)
-
-    def _blocks(self, seen: _Seen, bodies: slice) -> list[Block]:
-        """Return where in the frame some bodies may appear."""
-        whole = [0, seen.view.height, 0, seen.view.width]
-        blocks: list[Block] = overlaps(seen.view.blocks(seen.projection, bodies), whole).tolist()
-        return blocks
+            return seen.depth, None
+        return seen.depth, self._cast(seen, count, blocks[-1])
 
     def _cast(self, seen: _Seen, index: int, block: Block) -> Patch:
         """Return what a body, the pusher being the last, shows in a block of the frame."""
         top, bottom, left, right = block
-        if top >= bottom or left >= right:
-            return _nothing(seen)
-        rays = seen.rays[top:bottom, left:right]
-        start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
-        depth = self._all[index].depths(start, rays.reshape(-1, 3), rotation)
         where = slice(top, bottom), slice(left, right)
+        if top >= bottom or left >= right:
+            return Patch(where, seen.empty[where])
+        start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
+        depth = self._all[index].depths(start, seen.rays[where].reshape(-1, 3), rotation)
         return Patch(where, depth.reshape(bottom - top, right - left))
 
     def _colours(self, seen: _Seen, ids: NDArray[np.int16]) -> NDArray[np.uint8]:
@@ -248,10 +243,6 @@ class Renderer:
             depth[hit] = distance[hit]
             colour[hit] = shade
         return depth.astype(np.float32), colour.astype(np.uint8)
-
-
-def _nothing(seen: _Seen) -> Patch:
-    return Patch((slice(0), slice(0)), seen.empty[:0, :0])
 
 
 def _compose(depth: NDArray[np.float32], patch: Patch) -> None:

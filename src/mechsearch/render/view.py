@@ -23,13 +23,13 @@ beyond the frame, and is empty where an end is not after its beginning."""
 
 
 class Projection:
-    """How bodies lie to a camera, whatever its resolution; only what moved is computed anew.
+    """How bodies lie to a camera, whatever its resolution; nothing is computed where none moved.
 
     Attributes:
         starts: The camera in each body's frame (N, 3) [m].
         rotations: Of the bodies (N, 3, 3).
-        bounds: Where each appears (N, 4): the least y / z in the camera's frame and the greatest,
-            negated, then the same of x / z.
+        bounds: Where each appears (N, 4): the least and the greatest y / z in the camera's frame,
+            then the same of x / z.
         near: Which come too near to the camera's plane to tell (N,).
     """
 
@@ -41,36 +41,38 @@ class Projection:
         count = len(self._corners)
         self._poses = np.full((count, 7), np.nan)
         self._turned = np.zeros((count, 3, 3))
-        self._arms = np.zeros((count, 8, 3))
+        # Corner by corner: of so few numbers, the least along the first axis is found soonest.
+        self._arms = np.zeros((8, count, 3))
         self.starts: NDArray[np.float32] = np.zeros((count, 3), np.float32)
         self.rotations: NDArray[np.float32] = np.zeros((count, 3, 3), np.float32)
         self.bounds = np.zeros((count, 4))
         self.near = np.zeros(count, np.bool_)
 
     def place(self, poses: Floats) -> None:
-        """Place the first bodies at poses (n, 7); those that lie as before cost nothing."""
+        """Place the first bodies at poses (n, 7)."""
         changed = poses != self._poses[: len(poses)]
-        which = changed.any(axis=1).nonzero()[0]
-        if not len(which):
+        if not changed.any():
             return
-        turned = changed[:, 3:].any(axis=1).nonzero()[0]
-        if len(turned):
-            self._turn(turned, poses[turned, 3:])
-        self._poses[which] = poses = poses[which]
+        # All from the first that moved: rows that lie together are quicker than some of them.
+        rows = slice(int(changed.any(axis=1).argmax()), len(poses))
+        self._poses[rows] = poses = poses[rows]
+        if changed[:, 3:].any():
+            self._turn(rows, poses[:, 3:])
         offsets = self._origin - poses[:, :3]
-        self.starts[which] = (offsets[:, None] @ self._turned[which])[:, 0]
-        local = self._arms[which] - (offsets @ self._axes)[:, None]
+        self.starts[rows] = (offsets[:, None] @ self._turned[rows])[:, 0]
+        local = self._arms[:, rows] - offsets @ self._axes
         z = local[..., 2:]
         slopes = local[..., 1::-1] / np.maximum(z, _NEAREST)
-        self.bounds[which, ::2] = slopes.min(axis=1)
-        self.bounds[which, 1::2] = -slopes.max(axis=1)
-        self.near[which] = z.min(axis=(1, 2)) < _NEAREST
+        self.bounds[rows, ::2] = slopes.min(axis=0)
+        self.bounds[rows, 1::2] = slopes.max(axis=0)
+        self.near[rows] = z.min(axis=0)[:, 0] < _NEAREST
 
-    def _turn(self, which: NDArray[np.intp], quaternions: Floats) -> None:
+    def _turn(self, rows: slice, quaternions: Floats) -> None:
         """Turn bodies: their corners then point elsewhere along the camera's axes."""
         rotations = rotation_from_quaternion(quaternions)
-        self._turned[which] = self.rotations[which] = rotations
-        self._arms[which] = self._corners[which] @ (rotations.transpose(0, 2, 1) @ self._axes)
+        self._turned[rows] = self.rotations[rows] = rotations
+        arms = self._corners[rows] @ (rotations.transpose(0, 2, 1) @ self._axes)
+        self._arms[:, rows] = arms.swapaxes(0, 1)
 
 
 @lru_cache(maxsize=64)
@@ -79,12 +81,17 @@ def corners_of(bodies: tuple[Body, ...]) -> Floats:
     return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
 
 
-def overlaps(blocks: NDArray[np.intp], block: Block) -> NDArray[np.intp]:
-    """Return the parts (n, 4) of some blocks that lie in another, counted from its corner."""
+def overlaps(blocks: NDArray[np.intp], block: Block) -> list[Block]:
+    """Return the parts of some blocks (n, 4) that lie in another, counted from its corner."""
     top, bottom, left, right = block
     corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
-    inside: NDArray[np.intp] = np.clip(blocks - corner, 0, size)
-    return inside
+    return _clipped(blocks - corner, np.array(size))
+
+
+def _clipped(blocks: NDArray[np.intp], size: NDArray[np.intp]) -> list[Block]:
+    # `np.clip` takes four times as long for so few numbers.
+    clipped: list[Block] = np.minimum(np.maximum(blocks, 0), size).tolist()
+    return clipped
 
 
 class View:
@@ -94,7 +101,8 @@ class View:
         """Take a camera's pose and intrinsics."""
         self.camera = camera
         self.height, self.width = camera.height, camera.width
-        self._focal = np.repeat([camera.fy, camera.fx], 2)
+        self._size = np.array([camera.height, camera.height, camera.width, camera.width])
+        self._focal = np.array([camera.fy, -camera.fy, camera.fx, -camera.fx])
         self._principal = np.array([camera.cy, -camera.cy, camera.cx, -camera.cx])
 
     @cached_property
@@ -117,6 +125,10 @@ class View:
         if near.any():
             blocks[near] = [0, self.height, 0, self.width]
         return blocks
+
+    def visible_blocks(self, projection: Projection, bodies: slice) -> list[Block]:
+        """Return where in the frame some bodies may appear."""
+        return _clipped(self.blocks(projection, bodies), self._size)
 
     def _directions(self, block: Block) -> NDArray[np.float32]:
         camera = self.camera

@@ -33,30 +33,35 @@ def occlusion(
         target: Index of the object in question.
         density: Rays for each pixel, along each axis.
         present: Which objects are there to hide it (N,); all by default.
-        projection: Of these bodies, or more after them, to a camera there; made anew by default.
+        projection: Of these bodies, or more after them, to a camera there, where they are placed
+            already; made anew by default.
     """
     view = _dense(camera, density)
     if projection is None:
         projection = Projection(camera, bodies)
-    projection.place(np.asarray(poses, np.float64))
+        projection.place(np.asarray(poses, np.float64))
     blocks = view.blocks(projection, slice(len(bodies)))
     starts, rotations = projection.starts, projection.rotations
-    rays = view.rays(blocks[target].tolist())
-    depth = bodies[target].depths(starts[target], rays.reshape(-1, 3), rotations[target])
-    depth = depth.reshape(rays.shape[:2])
+    block = blocks[target].tolist()
+    rays = view.rays(block)
+    directions = rays.reshape(-1, 3)
+    depth = bodies[target].depths(starts[target], directions, rotations[target])
+    # Pixels are counted through: lists of their numbers are quicker than masks.
+    pixels = np.arange(len(directions)).reshape(rays.shape[:2])
     seen = depth < NO_HIT
-    whole = int(seen.sum())
+    mask = seen.reshape(pixels.shape)
+    whole = int(np.count_nonzero(seen))
     if not whole:
         return 1.0
-    for i, (top, bottom, left, right) in enumerate(overlaps(blocks, blocks[target]).tolist()):
+    for i, (top, bottom, left, right) in enumerate(overlaps(blocks, block)):
         if i == target or top >= bottom or left >= right or not (present is None or present[i]):
             continue
-        open_ = seen[top:bottom, left:right]
-        if open_.any():
-            directions = rays[top:bottom, left:right][open_]
-            nearest = bodies[i].depths(starts[i], directions, rotations[i])
-            open_[open_] = nearest >= depth[top:bottom, left:right][open_]
-    return 1.0 - int(seen.sum()) / whole
+        here = slice(top, bottom), slice(left, right)
+        open_ = pixels[here][mask[here]]
+        if len(open_):
+            nearest = bodies[i].depths(starts[i], directions.take(open_, axis=0), rotations[i])
+            seen[open_] = nearest >= depth.take(open_)
+    return 1.0 - int(np.count_nonzero(seen)) / whole
 
 
 @lru_cache(maxsize=8)

@@ -56,14 +56,16 @@ class Outlines:
         self._starts = [np.cumsum([0, *(len(part) for part in own[:-1])]) for own in parts]
         ends = np.cumsum([0, *(len(own) for own in parts)])
         self._rows = [slice(start, end) for start, end in pairwise(ends.tolist())]
-        self._low, self._high = np.zeros((2, ends[-1], 3))
+        # Axis by axis in memory: many boxes are compared with one at once.
+        self._low, self._high = np.zeros((2, 3, ends[-1])).swapaxes(1, 2)
         self._poses = np.full((len(parts), 7), np.nan)
 
     def boxes(self, poses: Floats) -> tuple[Floats, Floats]:
         """Return the lowest and highest corners (B, 3) [m] of all parts, objects at (N, 7)."""
-        moved = (poses != self._poses).any(axis=1)
-        if not moved.any():
+        changed = poses != self._poses
+        if not changed.any():
             return self._low, self._high
+        moved = changed.any(axis=1)
         rotations = rotation_from_quaternion(poses[moved, 3:])
         for i, rotation in zip(np.flatnonzero(moved).tolist(), rotations, strict=True):
             points, rows = self._points[i] @ rotation.T + poses[i, :3], self._rows[i]
@@ -92,7 +94,7 @@ def clear_steps(
     wide = np.array([reach, reach, clearance])
     top = np.array([0.0, 0.0, pusher.length])
     near = (low < path.max(axis=0) + top + wide) & (high > path.min(axis=0) - wide)
-    close = np.flatnonzero(near.all(axis=1))
+    close = near.all(axis=1).nonzero()[0]
     if not len(close):
         return len(path) - 1
     low, high = low[close], high[close]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from math import isfinite
 
 import mujoco
 import numpy as np
@@ -59,7 +60,8 @@ class World:
         # Views of the engine's memory: each look through its binding would cost a microsecond.
         self._qpos, self._qvel = self._data.qpos, self._data.qvel
         self._objects: Floats = self._qpos[: 7 * self.count].reshape(-1, 7)
-        self._warnings = self._data.warning.number
+        self._set_point, self._command = self._data.act, self._data.ctrl
+        self._asleep, self._warnings = self._data.tree_asleep, self._data.warning.number
 
     @property
     def poses(self) -> Floats:
@@ -96,9 +98,9 @@ class World:
     def place_pusher(self, position: Array) -> None:
         """Put the pusher at rest at a position (3,) [m]."""
         self._tip[:] = position
-        self._data.qvel[6 * self.count :] = 0.0
-        self._data.act[:] = position
-        self._data.ctrl[:] = 0.0
+        self._qvel[6 * self.count :] = 0.0
+        self._set_point[:] = position
+        self._command[:] = 0.0
 
     def pusher_is_free(self) -> bool:
         """Return whether nothing touches the pusher where it stands."""
@@ -134,7 +136,7 @@ class World:
             self._wake()
             self._enter(start, goal - start, step)
             self.step(max(config.action_steps - step, 0))
-            self._data.ctrl[:] = 0.0
+            self._command[:] = 0.0
             self._rest(config.steps - max(step, config.action_steps))
         self._data.time = ends
         return step < config.steps
@@ -142,7 +144,7 @@ class World:
     def _free_steps(self, start: Floats, goal: Floats) -> int:
         """Return how many steps of an action towards `goal` nothing but the pusher moves."""
         config = self.config
-        if self._pusher is None or not np.isfinite(config.clearance) or not self._lies_still():
+        if self._pusher is None or not isfinite(config.clearance) or not self._lies_still():
             return 0
         path = start + self._travel.position[:, None] * (goal - start)
         return clear_steps(
@@ -156,15 +158,15 @@ class World:
 
     def _enter(self, start: Floats, command: Floats, step: int) -> None:
         """Put the pusher where `step` steps of free travel have brought it."""
-        config, data = self.config, self._data
+        config = self.config
         speed = command / (config.action_steps * config.time_step)
-        data.act[:] = start
+        self._set_point[:] = start
         if step:
             answer = self._travel
             self._tip[:] = start + answer.position[step] * command
-            data.qvel[6 * self.count :] = answer.velocity[step] * command
-            data.act[:] = start + answer.set_point[step] * command
-        data.ctrl[:] = speed if step < config.action_steps else 0.0
+            self._qvel[6 * self.count :] = answer.velocity[step] * command
+            self._set_point[:] = start + answer.set_point[step] * command
+        self._command[:] = speed if step < config.action_steps else 0.0
 
     def _rest(self, steps: int) -> None:
         """Simulate the end of an action, as long as anything moves."""
@@ -186,13 +188,12 @@ class World:
         """
         if not self.config.sleep_speed:
             return
-        data = self._data
-        if (data.tree_asleep >= 0).any():
+        if (self._asleep >= 0).any():
             # The engine's documented way to wake: a velocity of minus zero.
-            data.qvel[data.qvel == 0.0] = -0.0
-            mujoco.mj_kinematics(self._model, data)
-            data.qvel[data.qvel == 0.0] = 0.0
-        data.tree_asleep[:] = -1
+            self._qvel[self._qvel == 0.0] = -0.0
+            mujoco.mj_kinematics(self._model, self._data)
+            self._qvel += 0.0
+        self._asleep[:] = -1
 
     def penetrations(self) -> Floats:
         """Return the overlap (C,) of every contact [m], in the last computed step."""
@@ -203,7 +204,7 @@ class World:
         """Return the name of a simulator failure, or None while physics can be trusted."""
         data, config, poses = self._data, self.config, self._objects
         highest = np.abs(self._qvel).max(initial=0.0)
-        if not (np.isfinite(np.abs(self._qpos).max(initial=0.0)) and np.isfinite(highest)):
+        if not (isfinite(np.abs(self._qpos).max(initial=0.0)) and isfinite(highest)):
             return "not a number"
         if self._warnings.any():
             return "solver warning"
