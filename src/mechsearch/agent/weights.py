@@ -99,7 +99,15 @@ def save_archive(path: Path, archive: Archive) -> None:
     text = json.dumps(meta, sort_keys=True)
     # One entry alone: safetensors writes several in no fixed order.
     header = {"mechsearch": f"{crc32(text.encode())} {text}"}
-    write_whole(path, lambda partial: save_file(tensors, partial, header))
+
+    def write(partial: Path) -> None:
+        try:
+            save_file(tensors, partial, header)
+        except SafetensorError as error:
+            # What it reports while writing is what the system told it.
+            raise OSError(str(error)) from None
+
+    write_whole(path, write)
 
 
 def load_archive(path: Path, kind: str) -> Archive:

@@ -18,7 +18,7 @@ from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import read_record, write_record
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import TrainConfig, load_config
 from mechsearch.train.trial import INPUTS_FILE, TrialInputs, run_trial
@@ -84,7 +84,7 @@ class Training(Job):
         file = self.directory / FINISHED_FILE
         if not file.exists():
             return False
-        finished = read_json(file, "record of a finished run")
+        finished = read_record(file, "record of a finished run")
         actor = self.directory / ACTOR_FILE
         if not actor.exists() or finished.get("actor") != _digest(actor):
             raise MechSearchError(
@@ -114,7 +114,7 @@ class Training(Job):
                 f"{self.directory} holds a run of another configuration than this sweep's; move it "
                 "away"
             )
-        began = read_json(self.directory / INPUTS_FILE, "record of a run's inputs")
+        began = read_record(self.directory / INPUTS_FILE, "record of a run's inputs")
         if self.heaps.exists() and began.get("heap_set") != self.heap_set.hash:
             raise MechSearchError(
                 f"{self.directory} holds a run on other heaps than this sweep's; move it away"
@@ -131,7 +131,7 @@ class Training(Job):
             "actor": _digest(self.directory / ACTOR_FILE),
             "training_actions": load_actor(self.directory).training_actions,
         }
-        write_json(self.directory / FINISHED_FILE, done)
+        write_record(self.directory / FINISHED_FILE, done)
         write_curves(self.folder.curves, finished_runs(self.plan, self.folder))
 
 
@@ -287,7 +287,7 @@ class RunScoring(Scoring):
         run = {"name": self.training.variant, "training_seed": self.training.seed}
         file = self.training.directory / FINISHED_FILE
         if file.exists():
-            finished = read_json(file, "record of a finished run")
+            finished = read_record(file, "record of a finished run")
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
 

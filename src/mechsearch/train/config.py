@@ -9,7 +9,7 @@ from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.agent.exploration import NoiseConfig
 from mechsearch.agent.guidance import GuidanceConfig
 from mechsearch.agent.records import record_from_json
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import read_record, write_record
 from mechsearch.teachers import TEACHERS
 from mechsearch.types import (
     ACTOR_KEYS,
@@ -206,7 +206,7 @@ def preset_config(name: str) -> TrainConfig:
 
 def save_config(config: TrainConfig, path: Path) -> None:
     """Write a configuration as JSON."""
-    write_json(path, asdict(config))
+    write_record(path, asdict(config))
 
 
 def load_config(path: Path) -> TrainConfig:
@@ -215,4 +215,4 @@ def load_config(path: Path) -> TrainConfig:
     Raises:
         MechSearchError: If the file is missing, damaged, or has unknown fields.
     """
-    return record_from_json(TrainConfig, read_json(path, "training configuration"))
+    return record_from_json(TrainConfig, read_record(path, "training configuration"))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.runs import read_json, write_json, write_whole
+from mechsearch.runs import read_record, write_record, write_whole
 from mechsearch.types import Array, MechSearchError, Observation
 
 FORMAT = 1
@@ -87,7 +87,7 @@ class DemonstrationStore:
         manifest = {"format": FORMAT, **facts}
         file = self.path / MANIFEST_FILE
         if not file.exists():
-            write_json(file, manifest)
+            write_record(file, manifest)
             return
         found = self.facts()
         differing = [
@@ -106,7 +106,7 @@ class DemonstrationStore:
         Raises:
             MechSearchError: If there is none.
         """
-        found: dict[str, Any] = read_json(self.path / MANIFEST_FILE, "demonstrations' manifest")
+        found = read_record(self.path / MANIFEST_FILE, "manifest of demonstrations")
         if found.get("format") != FORMAT:
             raise MechSearchError(
                 f"the demonstrations at {self.path} have format {found.get('format')}; "

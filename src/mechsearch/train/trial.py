@@ -9,7 +9,7 @@ from mechsearch.env.heap_env import HeapEnv
 from mechsearch.fingerprint import crossed, fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Progress, silent
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import alone, read_record, write_record
 from mechsearch.train.assemble import assemble
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.collector import Env
@@ -47,7 +47,7 @@ class TrialInputs:
         Raises:
             MechSearchError: If it has no record of that.
         """
-        record = read_json(directory / INPUTS_FILE, "record of a run's inputs")
+        record = read_record(directory / INPUTS_FILE, "record of a run's inputs")
         shown = record["demonstrations"]
         return cls(Path(record["heaps"]), record["objects"], Path(shown) if shown else None)
 
@@ -69,8 +69,16 @@ def run_trial(
         progress: Told after each action or update.
 
     Raises:
-        MechSearchError: If the inputs do not fit, or the directory holds another run.
+        MechSearchError: If the inputs do not fit, the directory holds another run, or another process
+            is at work in it.
     """
+    with alone(directory / "run", f"the run {directory}"):
+        return _run_alone(config, inputs, directory, resume, progress)
+
+
+def _run_alone(
+    config: TrainConfig, inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
+) -> dict[str, float]:
     heap_set = load(inputs.heaps)
     objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
     check_objects(heap_set, objects)
@@ -110,7 +118,7 @@ def _demonstrations(
 
 def crossings(directory: Path) -> list[str]:
     """Return what a run went on with instead of what it began with; see `fingerprint.crossed`."""
-    history = read_json(directory / INPUTS_FILE, "record of a run's inputs").get(_HISTORY, [])
+    history = read_record(directory / INPUTS_FILE, "record of a run's inputs").get(_HISTORY, [])
     return [text for before, now in pairwise(history) for text in crossed(before, now)]
 
 
@@ -130,7 +138,7 @@ def _record(
     """
     file = directory / INPUTS_FILE
     if resume:
-        record = read_json(file, "record of a run's inputs")
+        record = read_record(file, "record of a run's inputs")
         began, history = record["heap_set"], record.get(_HISTORY, [])
         if began != heap_set.hash:
             raise MechSearchError(
@@ -138,7 +146,7 @@ def _record(
                 f"{heap_set.hash[:12]}...; go on with the same"
             )
         if history[-1:] != [now]:
-            write_json(file, record | {_HISTORY: [*history, now]})
+            write_record(file, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
         shown = inputs.demonstrations
         record = {
@@ -148,7 +156,7 @@ def _record(
             "demonstrations": str(shown.resolve()) if shown else None,
             _HISTORY: [now],
         }
-        write_json(file, record)
+        write_record(file, record)
 
 
 def _expert_for(task: Env) -> Expert:
