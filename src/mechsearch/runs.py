@@ -14,7 +14,6 @@ from filelock import FileLock, Timeout
 
 from mechsearch.types import MechSearchError
 
-
 RECORD = 1
 """Format of the records that `write_record` writes."""
 
@@ -214,7 +213,7 @@ def record_of(line: str) -> dict[str, Any]:
 
 
 def read_lines(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records of a file of JSON lines; a torn last line, as a kill leaves it, is left out.
+    """Yield the records of a file of JSON lines; a last line that a kill has torn is left out.
 
     Earlier versions wrote no checksums; a file has them in all of its lines or in none.
 

@@ -1,6 +1,8 @@
 """Tensors in safetensors files: networks, optimisers and what belongs with them. Never a pickle."""
 
 import json
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,8 +106,12 @@ def save_archive(path: Path, archive: Archive) -> None:
         try:
             save_file(tensors, partial, header)
         except SafetensorError as error:
-            # What it reports while writing is what the system told it.
-            raise OSError(str(error)) from None
+            # While it writes, the system's error is in its text.
+            found = re.search(r"os error (\d+)", str(error))
+            if found is None:
+                raise
+            number = int(found[1])
+            raise OSError(number, os.strerror(number)) from None
 
     write_whole(path, write)
 

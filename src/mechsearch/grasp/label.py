@@ -87,8 +87,8 @@ def label(
         progress: Told after each heap.
 
     Raises:
-        MechSearchError: If the objects are others, the folder holds other grasps, or another process
-            fills it.
+        MechSearchError: If the objects are others, the folder holds other grasps, or another
+            process fills it.
     """
     with alone(path / "grasps", f"the grasp set {path}"):
         return _label_alone(heap_set, objects, config, path, workers, progress)

@@ -69,8 +69,8 @@ def run_trial(
         progress: Told after each action or update.
 
     Raises:
-        MechSearchError: If the inputs do not fit, the directory holds another run, or another process
-            is at work in it.
+        MechSearchError: If the inputs do not fit, the directory holds another run, or another
+            process is at work in it.
     """
     with alone(directory / "run", f"the run {directory}"):
         return _run_alone(config, inputs, directory, resume, progress)
