@@ -18,6 +18,8 @@ import numpy as np
 from mechsearch.heaps.dataset import load
 
 MECHSEARCH = (sys.executable, "-m", "mechsearch")
+LONGEST = 40.0
+"""Time after which a process is killed at the latest [s]."""
 
 
 Command = Callable[[Path], list[str]]
@@ -76,12 +78,13 @@ def kill_sweep(kills: int) -> dict[str, Any]:
         "final-heaps": 3,
         "demonstrations": 3,
         "imitation-updates": 8,
+        "grasps": False,
         "workers": 2,
     }
     words = [word for name, value in options.items() for word in (f"--{name}", *str(value).split())]
 
     def command(folder: Path) -> list[str]:
-        return [*MECHSEARCH, "sweep", "--no-grasps", *words, "--out", str(folder / "sweep")]
+        return [*MECHSEARCH, "sweep", *words, "--out", str(folder / "sweep")]
 
     runs = [f"single/runs/{name}-seed0" for name in ("method", "plus")]
     files = ["summary.csv", "curves.csv"]
@@ -120,7 +123,7 @@ def _kill(
             for stage in stages:
                 finished = False
                 while not finished:
-                    limit = float(rng.uniform(0.2, whole / 2)) if done < kills else None
+                    limit = float(rng.uniform(0.2, min(whole / 2, LONGEST))) if done < kills else None
                     finished = _run(stage(folder), limit)
                     done += not finished
                     visible(folder)

@@ -3,28 +3,38 @@
 import errno
 import json
 import os
+import struct
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from filelock import FileLock, Timeout
+import numpy as np
+from filelock import BaseFileLock, FileLock, Timeout
 
-from mechsearch.types import MechSearchError
+from mechsearch.types import Array, MechSearchError
 
 RECORD = 1
 """Format of the records that `write_record` writes."""
 
+CHECK_MARK = '"check"'
+"""What tells a line of JSON with a checksum from one that an earlier version wrote."""
+
 _ADVICE = {
     "free some space": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     "choose a place that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
-    "choose a place where no file or folder of that name is in the way": (
+    "choose a place where nothing of that name is in the way": (
         *(errno.ENOTDIR, errno.EISDIR, errno.EEXIST),
     ),
 }
 _REMEDIES = {number: advice for advice, numbers in _ADVICE.items() for number in numbers}
+REFUSALS = frozenset(_REMEDIES)
+"""Error numbers with which the system refuses to write."""
 
 
 class NotWrittenError(MechSearchError):
@@ -41,11 +51,30 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        advice = _REMEDIES.get(error.errno or 0, "see to it")
-        raise NotWrittenError(
-            f"cannot write {path}: {error.strerror or error}; {advice}, and give the same command "
-            "again; files already written are whole"
-        ) from error
+        raise not_written(error, path) from error
+
+
+def not_written(error: OSError, path: Path) -> NotWrittenError:
+    """Return what to say where the system refused to write a file."""
+    advice = _REMEDIES.get(error.errno or 0, "see to it")
+    return NotWrittenError(
+        f"cannot write {path}: {error.strerror or error}; {advice}, and give the same command "
+        "again; files already written are whole"
+    )
+
+
+def check_place(path: Path) -> None:
+    """Refuse a file that cannot be written, before hours of work for it.
+
+    Raises:
+        NotWrittenError: If its folder is not to be written to.
+    """
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -106,16 +135,23 @@ def write_record(path: Path, record: Mapping[str, Any]) -> None:
     write_json(path, {**numbered, "check": _check(numbered)})
 
 
-def read_record(path: Path, purpose: str) -> dict[str, Any]:
+def read_record(path: Path, purpose: str, needed: Sequence[str] = ()) -> dict[str, Any]:
     """Read what `write_record` wrote, or what earlier versions did without a checksum.
 
+    Args:
+        path: The file.
+        purpose: What it should hold, for errors.
+        needed: Names without which it is something else.
+
     Raises:
-        MechSearchError: If the file is missing, damaged, changed, or of a later version; `purpose`
-            names what it should hold.
+        MechSearchError: If the file is missing, damaged, changed, foreign, or of a later version.
     """
     found = read_json(path, purpose)
     if not isinstance(found, dict):
-        raise MechSearchError(f"{path} holds no {purpose}, but a {type(found).__name__}")
+        raise MechSearchError(f"{path} is not the {purpose}: it holds a {type(found).__name__}")
+    missing = [name for name in needed if name not in found]
+    if missing:
+        raise MechSearchError(f"{path} is not the {purpose}: it lacks {', '.join(missing)}")
     # Each of the two tells that the other must be there, so that neither can get lost.
     if "record" not in found and "check" not in found:
         return found
@@ -130,6 +166,32 @@ def read_record(path: Path, purpose: str) -> dict[str, Any]:
             f"the {purpose} at {path} has format {number}; this version reads {RECORD}"
         )
     return found
+
+
+def read_arrays(path: Path, purpose: str) -> dict[str, Array]:
+    """Read the arrays of an `.npz`, their checksums first; nothing in the file is ever run.
+
+    Raises:
+        MechSearchError: If the file is missing or damaged; `purpose` names what it should hold.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged:
+            raise zipfile.BadZipFile(f"{damaged} does not match its checksum")
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise MechSearchError(f"no {purpose} at {path}") from None
+    except ARRAY_DAMAGE as error:
+        raise MechSearchError(f"the {purpose} at {path} is damaged: {error}") from None
+
+
+ARRAY_DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, RuntimeError),
+    *(ValueError, KeyError, TypeError, IndexError, SyntaxError, tokenize.TokenError),
+)
+"""What a flipped bit may raise in the reader of archives and arrays."""
 
 
 def _check(record: Mapping[str, Any]) -> str:
@@ -151,17 +213,21 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
         Whether the lock is held; False only without waiting.
     """
     lock = FileLock(path.with_name(f".{path.name}.lock"))
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        held = _acquired(lock, wait)
     try:
-        with naming(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            lock.acquire(timeout=-1 if wait else 0)
-    except Timeout:
-        yield False
-        return
-    try:
-        yield True
+        yield held
     finally:
         lock.release()
+
+
+def _acquired(lock: BaseFileLock, wait: bool) -> bool:
+    try:
+        lock.acquire(timeout=-1 if wait else 0)
+    except Timeout:
+        return False
+    return True
 
 
 @contextmanager
@@ -230,9 +296,9 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
             try:
                 line = raw.decode("utf-8")
                 record = record_of(line)
-                if checked not in (None, '"check"' in line):
+                if checked not in (None, CHECK_MARK in line):
                     raise ValueError("its checksum is missing, or too many")
             except ValueError as error:
                 raise MechSearchError(f"line {number} of {path} is damaged: {error}") from None
-            checked = '"check"' in line
+            checked = CHECK_MARK in line
             yield record

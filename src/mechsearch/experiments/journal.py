@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mechsearch.runs import append_line, line_of, record_of, write_text
+from mechsearch.runs import CHECK_MARK, append_line, line_of, record_of, write_text
 
 SWEEP, BEGAN, ENDED, RAISED, FAILED = "sweep", "began", "ended", "raised", "failed"
 
@@ -30,10 +30,12 @@ class Journal:
         """Return all events; a torn or damaged line is left out."""
         found = []
         text = self.path.read_text(encoding="utf-8", errors="replace") if self.path.exists() else ""
+        # Earlier versions wrote no checksums.
+        mark = CHECK_MARK if CHECK_MARK in text else ""
         for line in text.splitlines():
             with suppress(ValueError):
                 record = record_of(line)
-                if "event" in record:
+                if "event" in record and mark in line:
                     found.append(record)
         return found
 

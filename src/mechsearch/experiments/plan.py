@@ -187,7 +187,7 @@ def _text(value: Any) -> str:
 
 
 def _read(folder: SweepFolder) -> dict[str, Any]:
-    return read_record(folder.plan, "plan of a sweep")
+    return read_record(folder.plan, "plan of a sweep", ("experiment", "version"))
 
 
 def _described(plan: SweepPlan, heap_sets: dict[str, str]) -> dict[str, Any]:

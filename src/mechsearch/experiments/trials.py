@@ -21,6 +21,7 @@ from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
 from mechsearch.runs import read_record, write_record
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import TrainConfig, load_config
+from mechsearch.train.log import METRICS_FILE
 from mechsearch.train.trial import INPUTS_FILE, TrialInputs, run_trial
 from mechsearch.types import MechSearchError
 
@@ -84,13 +85,17 @@ class Training(Job):
         file = self.directory / FINISHED_FILE
         if not file.exists():
             return False
-        finished = read_record(file, "record of a finished run")
+        finished = read_record(file, "record of a finished run", ("actor",))
         actor = self.directory / ACTOR_FILE
-        if not actor.exists() or finished.get("actor") != _digest(actor):
-            raise MechSearchError(
-                f"{actor} is not what the run ended with; delete {file} to go on from the run's "
-                "last checkpoint"
-            )
+        log = self.directory / METRICS_FILE
+        # Earlier versions kept no digest of the log.
+        kept = {actor: finished.get("actor"), log: finished.get("metrics", _digest(log))}
+        for changed, digest in kept.items():
+            if digest is None or _digest(changed) != digest:
+                raise MechSearchError(
+                    f"{changed} is not what the run ended with; delete {file} to go on from the "
+                    "run's last checkpoint"
+                )
         return True
 
     def _check_directory(self) -> None:
@@ -129,6 +134,7 @@ class Training(Job):
         run_trial(self.config, inputs, self.directory, resume)
         done = {
             "actor": _digest(self.directory / ACTOR_FILE),
+            "metrics": _digest(self.directory / METRICS_FILE),
             "training_actions": load_actor(self.directory).training_actions,
         }
         write_record(self.directory / FINISHED_FILE, done)
@@ -287,10 +293,12 @@ class RunScoring(Scoring):
         run = {"name": self.training.variant, "training_seed": self.training.seed}
         file = self.training.directory / FINISHED_FILE
         if file.exists():
-            finished = read_record(file, "record of a finished run")
+            finished = read_record(file, "record of a finished run", ("actor",))
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
 
 
-def _digest(path: Path) -> str:
+def _digest(path: Path) -> str | None:
+    if not path.exists():
+        return None
     return hashlib.sha256(path.read_bytes()).hexdigest()

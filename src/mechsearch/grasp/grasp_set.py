@@ -80,7 +80,7 @@ class GraspFolder:
         self._manifest: dict[str, Any] = {"format": FORMAT, **identity, "shards": {}}
         file = path / MANIFEST
         if file.exists():
-            found = read_record(file, "manifest of a grasp set")
+            found = read_record(file, "manifest of a grasp set", ("format", "shards"))
             if {**found, "shards": {}} != self._manifest:
                 differing = [k for k, v in self._manifest.items() if found.get(k) != v]
                 raise MechSearchError(
@@ -120,9 +120,12 @@ def load_grasps(path: Path) -> Grasps:
     Raises:
         MechSearchError: If there are none, or a shard is missing or damaged.
     """
-    manifest = read_record(path / MANIFEST, "manifest of a grasp set")
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise MechSearchError(f"{path / MANIFEST} is no manifest of format {FORMAT}")
+    manifest = read_record(path / MANIFEST, "manifest of a grasp set", ("format", "shards"))
+    if manifest["format"] != FORMAT:
+        raise MechSearchError(
+            f"{path / MANIFEST} is of labelled grasps of format {manifest['format']}; this version "
+            f"reads {FORMAT}"
+        )
     parts = []
     for name, entry in sorted(manifest["shards"].items()):
         file = path / name

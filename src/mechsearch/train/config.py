@@ -215,4 +215,5 @@ def load_config(path: Path) -> TrainConfig:
     Raises:
         MechSearchError: If the file is missing, damaged, or has unknown fields.
     """
-    return record_from_json(TrainConfig, read_record(path, "training configuration"))
+    found = read_record(path, "training configuration", ("name", "seed", "actions"))
+    return record_from_json(TrainConfig, found)

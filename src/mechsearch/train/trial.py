@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.fingerprint import crossed, fingerprint
@@ -47,7 +48,7 @@ class TrialInputs:
         Raises:
             MechSearchError: If it has no record of that.
         """
-        record = read_record(directory / INPUTS_FILE, "record of a run's inputs")
+        record = _read(directory)
         shown = record["demonstrations"]
         return cls(Path(record["heaps"]), record["objects"], Path(shown) if shown else None)
 
@@ -116,9 +117,14 @@ def _demonstrations(
     return store.read_all(imitation.demonstrations)
 
 
+def _read(directory: Path) -> dict[str, Any]:
+    needed = ("heaps", "heap_set", "objects", "demonstrations")
+    return read_record(directory / INPUTS_FILE, "record of a run's inputs", needed)
+
+
 def crossings(directory: Path) -> list[str]:
     """Return what a run went on with instead of what it began with; see `fingerprint.crossed`."""
-    history = read_record(directory / INPUTS_FILE, "record of a run's inputs").get(_HISTORY, [])
+    history = _read(directory).get(_HISTORY, [])
     return [text for before, now in pairwise(history) for text in crossed(before, now)]
 
 
@@ -138,7 +144,7 @@ def _record(
     """
     file = directory / INPUTS_FILE
     if resume:
-        record = read_record(file, "record of a run's inputs")
+        record = _read(directory)
         began, history = record["heap_set"], record.get(_HISTORY, [])
         if began != heap_set.hash:
             raise MechSearchError(
