@@ -129,9 +129,15 @@ def read_json(path: Path, purpose: str) -> Any:
         raise MechSearchError(f"the {purpose} at {path} is damaged: {error}") from None
 
 
-def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write what only this package reads back: JSON with a checksum, whole or not at all."""
-    numbered = {**record, "record": RECORD}
+def write_record(path: Path, purpose: str, record: Mapping[str, Any]) -> None:
+    """Write what only this package reads back: JSON with a checksum, whole or not at all.
+
+    Args:
+        path: The file.
+        purpose: What it is, in the words that `read_record` is given.
+        record: What to keep.
+    """
+    numbered = {**record, "kind": purpose, "record": RECORD}
     write_json(path, {**numbered, "check": _check(numbered)})
 
 
@@ -149,18 +155,25 @@ def read_record(path: Path, purpose: str, needed: Sequence[str] = ()) -> dict[st
     found = read_json(path, purpose)
     if not isinstance(found, dict):
         raise MechSearchError(f"{path} is not the {purpose}: it holds a {type(found).__name__}")
+    # Each of the two tells that the other must be there, so that neither can get lost.
+    if "record" in found or "check" in found:
+        found = _opened(found, path, purpose)
     missing = [name for name in needed if name not in found]
     if missing:
         raise MechSearchError(f"{path} is not the {purpose}: it lacks {', '.join(missing)}")
-    # Each of the two tells that the other must be there, so that neither can get lost.
-    if "record" not in found and "check" not in found:
-        return found
+    return found
+
+
+def _opened(found: dict[str, Any], path: Path, purpose: str) -> dict[str, Any]:
+    """Return a record without what seals it."""
     check = found.pop("check", None)
     if check != _check(found):
         raise MechSearchError(
             f"the {purpose} at {path} is damaged, or was changed by hand: its checksum differs"
         )
-    number = found.pop("record")
+    number, kind = found.pop("record"), found.pop("kind", purpose)
+    if kind != purpose:
+        raise MechSearchError(f"{path} is not the {purpose}, but a {kind}")
     if number != RECORD:
         raise MechSearchError(
             f"the {purpose} at {path} has format {number}; this version reads {RECORD}"

@@ -80,8 +80,8 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
 
         return write
 
-    def record(name, content):
-        return lambda folder: runs.write_record(folder / name, content)
+    def record(name, purpose, content):
+        return lambda folder: runs.write_record(folder / name, purpose, content)
 
     rng = np.random.default_rng(1)
     grasps = Grasps(
@@ -109,6 +109,9 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
     manifest = {"format": dataset.FORMAT, "config": {"objects": "boxes", "camera": "overhead"}}
     inputs = {"heaps": "a.parquet", "heap_set": "ab12", "objects": "ycb", "demonstrations": None}
 
+    plan = json.loads(json.dumps({**asdict(QUICK), "version": "1.0"}))
+    over = "record of a finished run"
+
     def write_demonstration(folder):
         store = DemonstrationStore(folder)
         store.open({"heap_set": "ab12", "seed": 3})
@@ -135,7 +138,10 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
             record_format,
         ),
         "run inputs": Kind(
-            "inputs.json", record("inputs.json", inputs), TrialInputs.of_run, record_format
+            "inputs.json",
+            record("inputs.json", "record of a run's inputs", inputs),
+            TrialInputs.of_run,
+            record_format,
         ),
         "metrics": Kind("metrics.jsonl", copied("config.json", "metrics.jsonl"), read_run),
         "checkpoint": Kind(
@@ -183,14 +189,14 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         ),
         "plan of a sweep": Kind(
             "sweep.json",
-            record("sweep.json", json.loads(json.dumps({**asdict(QUICK), "version": "1.0"}))),
+            record("sweep.json", "plan of a sweep", plan),
             lambda f: read_plan(SweepFolder(f)),
             record_format,
         ),
         "record of a finished run": Kind(
             "finished.json",
-            record("finished.json", {"actor": "ab12", "training_actions": 60}),
-            lambda f: runs.read_record(f / "finished.json", "record of a finished run", ["actor"]),
+            record("finished.json", over, {"actor": "ab12", "training_actions": 60}),
+            lambda f: runs.read_record(f / "finished.json", over, ["actor"]),
             record_format,
         ),
         "journal of a sweep": Kind(
@@ -307,8 +313,8 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
     file = folder / kind.file
     if name == "run configuration":
         content = json.loads(file.read_text())
-        del content["check"], content["record"]
-        runs.write_record(file, content)
+        del content["check"], content["record"], content["kind"]
+        runs.write_record(file, "training configuration", content)
         return
     with pytest.MonkeyPatch.context() as now:
         now.setattr(weights, "FORMAT", 1)
@@ -328,8 +334,8 @@ def test_a_record_of_an_earlier_version_has_no_checksum_and_is_read(tmp_path):
 
 def test_what_was_changed_by_hand_is_told(tmp_path):
     file = tmp_path / "config.json"
-    runs.write_record(file, {"seed": 1})
-    file.write_text(file.read_text().replace("1", "2", 1))
+    runs.write_record(file, "configuration", {"seed": 1})
+    file.write_text(file.read_text().replace('"seed": 1', '"seed": 2'))
     with pytest.raises(MechSearchError, match="changed by hand"):
         runs.read_record(file, "configuration")
 

@@ -1,3 +1,5 @@
+import errno
+import os
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -167,6 +169,27 @@ def test_a_log_that_lost_lines_or_bits_is_named(config, make_parts, tmp_path):
     log.write_bytes(content.replace(b"0.", b"1.", 1))
     with pytest.raises(MechSearchError, match=r"line 1 of .*metrics.jsonl is damaged"):
         train(config, make_parts(), tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("written", range(2, 12, 3))
+def test_a_full_disk_stops_a_run_by_name_and_costs_it_nothing(
+    written, whole, config, make_parts, tmp_path, monkeypatch
+):
+    synced, left = os.fsync, [written]
+
+    def full(handle):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        synced(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MechSearchError, match=r"cannot write .*No space left.*free some space"):
+        train(config, make_parts(), tmp_path)
+    monkeypatch.undo()
+    assert not list(tmp_path.rglob("*.partial*"))
+    train(config, make_parts(), tmp_path, resume=True)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
 def assert_same_files(run, other, *names):

@@ -153,7 +153,7 @@ def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
                 f"{folder.path} holds {', '.join(sorted(others)[:5])} and no {folder.plan.name}; "
                 "name a new folder"
             )
-        write_record(folder.plan, found)
+        write_record(folder.plan, "plan of a sweep", found)
         return
     kept = _read(folder)
     names = [name for name in {**kept, **found} if kept.get(name) != found.get(name)]

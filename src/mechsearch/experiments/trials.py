@@ -137,7 +137,7 @@ class Training(Job):
             "metrics": _digest(self.directory / METRICS_FILE),
             "training_actions": load_actor(self.directory).training_actions,
         }
-        write_record(self.directory / FINISHED_FILE, done)
+        write_record(self.directory / FINISHED_FILE, "record of a finished run", done)
         write_curves(self.folder.curves, finished_runs(self.plan, self.folder))
 
 

@@ -111,7 +111,7 @@ class GraspFolder:
             "grasps": len(grasps),
             "positive": int(grasps.success.sum()),
         }
-        write_record(self.path / MANIFEST, self._manifest)
+        write_record(self.path / MANIFEST, "manifest of a grasp set", self._manifest)
 
 
 def load_grasps(path: Path) -> Grasps:

@@ -311,6 +311,6 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
             f"{header.name} beside {path} belongs to another heap set that was cut off; finish "
             "that one with its own settings, or remove the file and its .jsonl"
         )
-    write_record(header, identity)
+    write_record(header, "journal of a heap set", identity)
     write_text(journal, "".join(map(line_of, read_lines(journal))))
     return journal

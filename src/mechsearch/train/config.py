@@ -18,6 +18,8 @@ from mechsearch.types import (
     MechSearchError,
 )
 
+PURPOSE = "training configuration"
+
 CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
 """What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
 
@@ -206,7 +208,7 @@ def preset_config(name: str) -> TrainConfig:
 
 def save_config(config: TrainConfig, path: Path) -> None:
     """Write a configuration as JSON."""
-    write_record(path, asdict(config))
+    write_record(path, PURPOSE, asdict(config))
 
 
 def load_config(path: Path) -> TrainConfig:
@@ -215,5 +217,5 @@ def load_config(path: Path) -> TrainConfig:
     Raises:
         MechSearchError: If the file is missing, damaged, or has unknown fields.
     """
-    found = read_record(path, "training configuration", ("name", "seed", "actions"))
+    found = read_record(path, PURPOSE, ("name", "seed", "actions"))
     return record_from_json(TrainConfig, found)

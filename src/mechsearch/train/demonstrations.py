@@ -85,7 +85,7 @@ class DemonstrationStore:
         manifest = {"format": FORMAT, **facts}
         file = self.path / MANIFEST_FILE
         if not file.exists():
-            write_record(file, manifest)
+            write_record(file, "manifest of demonstrations", manifest)
             return
         found = self.facts()
         differing = [

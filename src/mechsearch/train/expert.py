@@ -130,11 +130,13 @@ def _demonstrate_alone(
     for i, (name, result) in enumerate(zip(todo, results, strict=True)):
         if isinstance(result, Failure):
             lost = {"simulated_actions": 0, "failure": result.reason}
-            write_record(path / f"{name}{FAILED}", lost)
         elif result[0] is None:
-            write_record(path / f"{name}{FAILED}", {"simulated_actions": result[1]})
+            lost = {"simulated_actions": result[1]}
         else:
             store.write(name, result[0])
+            lost = {}
+        if lost:
+            write_record(path / f"{name}{FAILED}", "failed demonstration", lost)
         progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
     return store
 

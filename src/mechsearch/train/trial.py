@@ -25,6 +25,7 @@ INPUTS_FILE = "inputs.json"
 """What a run was made from, beside its configuration, so that it can go on by itself."""
 
 _HISTORY = "fingerprints"
+_PURPOSE = "record of a run's inputs"
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def _demonstrations(
 
 def _read(directory: Path) -> dict[str, Any]:
     needed = ("heaps", "heap_set", "objects", "demonstrations")
-    return read_record(directory / INPUTS_FILE, "record of a run's inputs", needed)
+    return read_record(directory / INPUTS_FILE, _PURPOSE, needed)
 
 
 def crossings(directory: Path) -> list[str]:
@@ -152,7 +153,7 @@ def _record(
                 f"{heap_set.hash[:12]}...; go on with the same"
             )
         if history[-1:] != [now]:
-            write_record(file, record | {_HISTORY: [*history, now]})
+            write_record(file, _PURPOSE, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
         shown = inputs.demonstrations
         record = {
@@ -162,7 +163,7 @@ def _record(
             "demonstrations": str(shown.resolve()) if shown else None,
             _HISTORY: [now],
         }
-        write_record(file, record)
+        write_record(file, _PURPOSE, record)
 
 
 def _expert_for(task: Env) -> Expert:
