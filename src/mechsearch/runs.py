@@ -69,9 +69,11 @@ def check_place(path: Path) -> None:
     Raises:
         NotWrittenError: If its folder is not to be written to.
     """
+    folder = path.parent
+    while not folder.exists():
+        folder = folder.parent
     with naming(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
+        with tempfile.TemporaryFile(dir=folder):
             pass
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -197,7 +199,7 @@ def read_arrays(path: Path, purpose: str) -> dict[str, Array]:
     except FileNotFoundError:
         raise MechSearchError(f"no {purpose} at {path}") from None
     except ARRAY_DAMAGE as error:
-        raise MechSearchError(f"the {purpose} at {path} is damaged: {error}") from None
+        raise MechSearchError(f"{path} is damaged or no {purpose}: {error}") from None
 
 
 ARRAY_DAMAGE = (

@@ -192,7 +192,7 @@ def load(path: Path) -> Evaluation:
             )
         return Evaluation(text["header"], tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:
-        raise MechSearchError(f"{path} is damaged or not an evaluation: {error}") from None
+        raise MechSearchError(f"{path} is damaged or no evaluation: {error}") from None
 
 
 def _description(episode: EpisodeRecord) -> dict[str, Any]:
