@@ -77,7 +77,7 @@ class TrainConfig:
         warmup: Actions before the first update.
         replay_rows: Most frames kept.
         evaluate_every: Actions (in imitation: updates) between evaluations.
-        checkpoint_every: Likewise between checkpoints, which wait for the end of an episode.
+        checkpoint_every: Likewise between checkpoints.
         validation_heaps: Training heaps set apart to watch the learning.
         held_out_heaps: Held-out heaps to log a curve on, from the untrained actor on; they choose
             nothing.
