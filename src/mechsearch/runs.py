@@ -154,9 +154,10 @@ def read_record(path: Path, purpose: str, needed: Sequence[str] = ()) -> dict[st
     Raises:
         MechSearchError: If the file is missing, damaged, changed, foreign, or of a later version.
     """
-    found = read_json(path, purpose)
-    if not isinstance(found, dict):
-        raise MechSearchError(f"{path} is not the {purpose}: it holds a {type(found).__name__}")
+    content = read_json(path, purpose)
+    if not isinstance(content, dict):
+        raise MechSearchError(f"{path} is not the {purpose}: it holds a {type(content).__name__}")
+    found: dict[str, Any] = content
     # Each of the two tells that the other must be there, so that neither can get lost.
     if "record" in found or "check" in found:
         found = _opened(found, path, purpose)
