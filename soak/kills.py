@@ -123,7 +123,9 @@ def _kill(
             for stage in stages:
                 finished = False
                 while not finished:
-                    limit = float(rng.uniform(0.2, min(whole / 2, LONGEST))) if done < kills else None
+                    limit = (
+                        float(rng.uniform(0.2, min(whole / 2, LONGEST))) if done < kills else None
+                    )
                     finished = _run(stage(folder), limit)
                     done += not finished
                     visible(folder)

@@ -55,9 +55,13 @@ def train(
         scores = evaluate(ActorPolicy(session.learner.actor), 0, parts.evaluators, log)
     with background() as thread:
         while session.step < config.actions:
+            begins = session.begins_block
+            if begins:
+                session.behaviour.refresh()
             actions = thread.submit(session.collector.collect, session.next_actions())
-            with speed.updating():
-                session.update(session.block)
+            if begins:
+                with speed.updating():
+                    session.update()
             for transition in actions.result():
                 summary = session.store(transition)
                 if summary is not None:

@@ -55,29 +55,24 @@ class Session:
         return self.counts["step"]
 
     @property
-    def block(self) -> int:
-        """Actions executed before the current block, in which the acting networks stay the same.
+    def begins_block(self) -> bool:
+        """Whether to look at the networks: those that act stay the same within a block.
 
         Blocks end with episodes and before evaluations, wherever the run or a checkpoint does, so
         that a run which is cut off and goes on is the run that was never stopped.
         """
-        return self.counts["block"]
+        return self.step == self.counts["block"]
 
     def next_actions(self) -> int:
-        """Return how many actions to execute before something else is due.
-
-        At the beginning of a block, what was learnt is taken over to act by.
-        """
+        """Return how many actions to execute before something else is due."""
         config, step = self.config, self.step
-        if step == self.block:
-            self.behaviour.refresh()
         saving = step - step % config.checkpoint_every + config.checkpoint_every
         return min(self._block_end, saving, config.actions) - step
 
     @property
     def _block_end(self) -> int:
-        every = self.config.evaluate_every
-        return min(self.block + self.config.block, self.block - self.block % every + every)
+        began, every = self.counts["block"], self.config.evaluate_every
+        return min(began + self.config.block, began - began % every + every)
 
     def store(self, done: Transition) -> dict[str, Any] | None:
         """Keep what an action led to; return the episode's summary if it is over.
@@ -110,9 +105,9 @@ class Session:
         if done.over:
             self.replay.end(done.after)
 
-    def update(self, actions: int | None = None) -> None:
-        """Take the gradient steps that are due for so many actions, or for all that are stored."""
-        since = max((self.step if actions is None else actions) - self.config.warmup, 0)
+    def update(self) -> None:
+        """Take the gradient steps that are due for all that is stored."""
+        since = max(self.step - self.config.warmup, 0)
         due = int(since * self.config.updates_per_action)
         while self.counts["updates"] < due and len(self.replay):
             metrics = self.learner.update(self.replay, self.rngs["batches"])
