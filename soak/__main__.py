@@ -1,4 +1,4 @@
-"""Run all long tests, or some: `python -m soak [actions] [generation] [training] [mutants]`."""
+"""Run all long tests, or some: `python -m soak [actions] [generation] [training] [sweep] [mutants]`."""
 
 import json
 import os
@@ -10,7 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from benchmarks import machine
 from benchmarks.workload import find_workload
 from soak.actions import soak
-from soak.kills import kill_generation, kill_training
+from soak.kills import kill_generation, kill_sweep, kill_training
 from soak.mutants import mutate
 
 RESULTS = Path(__file__).with_name("results.json")
@@ -19,6 +19,7 @@ TESTS = {
     "actions": lambda: soak(find_workload(), 100_000, 1000),
     "generation": lambda: kill_generation(KILLS),
     "training": lambda: kill_training(KILLS),
+    "sweep": lambda: kill_sweep(KILLS),
     "mutants": mutate,
 }
 

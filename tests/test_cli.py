@@ -13,6 +13,7 @@ from mechsearch.cli.evaluation import file_name, named
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.metrics import METRICS
+from mechsearch.runs import read_record, write_record
 from mechsearch.types import MechSearchError
 
 
@@ -244,10 +245,11 @@ def test_a_run_is_trained_continued_and_evaluated(
     capsys.readouterr()
     main(["train", "--resume", str(run), "--actions", "13"])
     assert "it went on with" not in capsys.readouterr().out
-    inputs = json.loads((run / "inputs.json").read_text())
+    kind = "record of a run's inputs"
+    inputs = read_record(run / "inputs.json", kind)
     assert len(inputs["fingerprints"]) == 1
     inputs["fingerprints"][0]["torch"] = "2.0.0"
-    (run / "inputs.json").write_text(json.dumps(inputs))
+    write_record(run / "inputs.json", kind, inputs)
     main(["train", "--resume", str(run), "--actions", "14"])
     assert "instead of 2.0.0: not the bits of a run" in capsys.readouterr().out
     assert json.loads((run / "config.json").read_text())["actions"] == 14

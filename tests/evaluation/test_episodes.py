@@ -77,10 +77,10 @@ def test_a_file_that_is_no_evaluation_is_refused(tmp_path: Path, content: bytes)
 
 def test_an_array_file_or_a_pickle_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(MechSearchError, match="not an evaluation"):
+    with pytest.raises(MechSearchError, match="no evaluation"):
         episodes.load(tmp_path / "other.npz")
     np.savez(tmp_path / "pickle.npz", text=np.array([{}], dtype=object))
-    with pytest.raises(MechSearchError, match="not an evaluation"):
+    with pytest.raises(MechSearchError, match="no evaluation"):
         episodes.load(tmp_path / "pickle.npz")
 
 

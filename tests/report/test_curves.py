@@ -75,7 +75,7 @@ def test_a_folder_without_a_run_and_a_damaged_log_are_refused(tmp_path: Path) ->
         curves.read_run(tmp_path)
     (tmp_path / "config.json").write_text("{}")
     (tmp_path / "metrics.jsonl").write_text("not json\n")
-    with pytest.raises(MechSearchError, match=r"the log at .* is damaged"):
+    with pytest.raises(MechSearchError, match=r"line 1 of .*metrics.jsonl is damaged"):
         curves.read_run(tmp_path)
 
 

@@ -67,7 +67,7 @@ def test_bad_sources_are_refused_in_one_line_and_nothing_is_written(
     broken = Path(shutil.copytree(folder, tmp_path / "broken"))
     (broken / "single" / "evaluations" / "idle.npz").write_bytes(b"PK")
     said = refused([str(broken), *out], capsys)
-    assert "idle.npz is damaged or not an evaluation" in said
+    assert "idle.npz is damaged or no evaluation" in said
     assert said.count("\n") == 1
     (broken / "sweep.json").write_text("{")
     assert "plan of a sweep" in refused([str(broken), *out], capsys)

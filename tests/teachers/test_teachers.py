@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 
@@ -103,3 +105,15 @@ def test_the_same_generator_gives_the_same_push(name):
     np.testing.assert_array_equal(
         follow(first, [0.2, 0.2, 0.1], 80), follow(second, [0.2, 0.2, 0.1], 80)
     )
+
+
+@pytest.mark.parametrize("after", [0, 1, 4, 11, 30])
+@pytest.mark.parametrize("name", TEACHERS)
+def test_a_teacher_that_is_kept_in_the_middle_of_a_push_goes_on_with_it(name, after):
+    whole, kept = make_teachers()[name], make_teachers()[name]
+    whole.reset(np.random.default_rng(5))
+    start = [-0.2, 0.15, 0.1]
+    path = follow(whole, start, after)
+    # Through text, as a checkpoint keeps it.
+    kept.restore(json.loads(json.dumps(whole.state())))
+    np.testing.assert_array_equal(follow(kept, path[-1], 40), follow(whole, path[-1], 40))

@@ -1,4 +1,4 @@
-"""A world of 40 lines: move the effector to the target. No physics, the same observations."""
+"""A small world: move the effector to the target. No physics, the same observations."""
 
 from dataclasses import replace
 
@@ -60,6 +60,14 @@ class ReachEnv(gymnasium.Env):
         }
         return self.observe(), -10 * distance - 0.5, terminated, truncated, info
 
+    def snapshot(self):
+        return {name: np.array(getattr(self, name)) for name in ("target", "ee", "actions")}
+
+    def restore(self, snapshot):
+        self.target, self.ee = snapshot["target"].copy(), snapshot["ee"].copy()
+        self.actions = int(snapshot["actions"])
+        return self.observe()
+
     def observe(self):
         offset = (self.target - self.ee).astype(np.float32)
         image = np.zeros((3, SIZE, SIZE), np.float16)
@@ -84,6 +92,13 @@ class Pointer:
 
     def reset(self, rng):
         self.rng = rng
+
+    def state(self):
+        return {"rng": self.rng.bit_generator.state}
+
+    def restore(self, state):
+        self.rng = np.random.default_rng()
+        self.rng.bit_generator.state = state["rng"]
 
     def act(self, obs):
         assert set(obs) == set(self.keys)

@@ -1,13 +1,17 @@
 from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mechsearch.agent.networks import NetworkConfig
 from mechsearch.agent.policy import load_actor
-from mechsearch.heaps.dataset import HeapSet
+from mechsearch.agent.weights import load_archive
+from mechsearch.heaps.dataset import HeapSet, load, object_set
 from mechsearch.runs import read_lines
 from mechsearch.train.assemble import assemble
+from mechsearch.train.checkpoint import KIND
 from mechsearch.train.config import PRESETS
 from mechsearch.train.loop import train
 from mechsearch.types import MechSearchError
@@ -76,3 +80,24 @@ def test_a_real_heap_trains_resumes_and_acts(debug, heap_set, boxes, tmp_path):
     env = assemble(debug, heap_set, boxes).evaluators["validation"].env
     obs, _ = env.reset(options={"heap": 0, "fixed_start": True})
     assert np.abs(policy.act(obs)).max() <= 1
+
+
+@pytest.mark.parametrize("actions", [13, 22])
+def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
+    actions, debug, tmp_path
+):
+    found = load(Path(str(resources.files("mechsearch.heaps") / "household_single.parquet")))
+    few = HeapSet(tuple(found.heaps[i] for i in (0, 8, 17)), found.manifest, "")
+    objects = object_set("household")
+    longer = replace(debug, actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)
+    train(longer, assemble(longer, few, objects), tmp_path / "whole")
+    shorter = replace(longer, actions=actions)
+    train(shorter, assemble(shorter, few, objects), tmp_path / "parts")
+    last = tmp_path / "parts" / "checkpoints" / f"step-{actions:08d}.safetensors"
+    episode = load_archive(last, KIND).meta["episode"]
+    assert set(episode["teachers"]) == {"straight", "zigzag", "spiral"}
+    # Environments of their own, as in another process.
+    train(longer, assemble(longer, few, objects), tmp_path / "parts", resume=True)
+    end = "checkpoints/step-00000034.safetensors"
+    for name in ("metrics.jsonl", "actor.safetensors", end):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

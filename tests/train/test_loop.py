@@ -1,3 +1,5 @@
+import errno
+import os
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -7,7 +9,7 @@ import pytest
 import torch
 
 from mechsearch.agent.policy import load_actor
-from mechsearch.agent.weights import load_archive
+from mechsearch.agent.weights import load_archive, save_archive
 from mechsearch.runs import read_lines
 from mechsearch.train.loop import train
 from mechsearch.train.session import Session
@@ -83,26 +85,109 @@ def test_another_seed_gives_another_run(whole, config, make_parts, tmp_path):
     assert first != other
 
 
-def test_a_resumed_run_is_the_run_that_was_never_stopped(whole, config, make_parts, tmp_path):
-    train(replace(config, actions=77), make_parts(), tmp_path)
+@pytest.mark.parametrize("actions", [3, 47, 50, 118])
+def test_a_run_made_longer_is_the_run_that_was_never_stopped(
+    actions, whole, config, make_parts, tmp_path
+):
+    """In the middle of an episode and of a block, at an evaluation, before the first update."""
+    train(replace(config, actions=actions), make_parts(), tmp_path)
     train(config, make_parts(), tmp_path, resume=True)
-    # The shorter run evaluated once more, at its end; that line is not of the longer run.
+    # The shorter run looked at itself once more, at its end; that line is not of the longer run.
     last = "checkpoints/" + last_checkpoint(whole[0])
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors", last)
 
 
-def test_a_killed_run_resumes_exactly(whole, config, make_parts, reach_env, tmp_path):
+def test_a_run_may_be_made_longer_action_by_action(config, make_parts, tmp_path):
+    config = replace(config, actions=34, noise=replace(config.noise, correlation=0.7))
+    train(config, make_parts(), tmp_path / "whole")
+    for actions in range(18, 35):
+        longer = replace(config, actions=actions)
+        train(longer, make_parts(), tmp_path / "longer", resume=actions > 18)
+    assert_same_files(tmp_path / "longer", tmp_path / "whole", "metrics.jsonl", "actor.safetensors")
+
+
+@pytest.mark.parametrize("killed_at", [41, 42, 44, 93])
+def test_a_killed_run_resumes_exactly(killed_at, whole, config, make_parts, reach_env, tmp_path):
     class Killed(Exception):  # noqa: N818
         pass
 
     class DyingEnv(reach_env):
         def step(self, action):
-            if self.total == 93:
+            if self.total == killed_at:
                 raise Killed
             return super().step(action)
 
     with pytest.raises(Killed):
         train(config, make_parts(DyingEnv()), tmp_path)
+    assert last_checkpoint(tmp_path) == f"step-{killed_at - killed_at % 40:08d}.safetensors"
+    train(config, make_parts(), tmp_path, resume=True)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
+
+
+def test_where_checkpoints_are_written_changes_nothing(whole, config, make_parts, tmp_path):
+    train(replace(config, checkpoint_every=7), make_parts(), tmp_path)
+    assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
+
+
+def test_checkpoints_are_written_on_time_and_at_the_end_and_hold_the_episode(
+    config, make_parts, tmp_path
+):
+    train(replace(config, actions=47, checkpoint_every=45), make_parts(), tmp_path)
+    names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
+    assert names == ["step-00000045.safetensors", "step-00000047.safetensors"]
+    held = [load_archive(tmp_path / "checkpoints" / n, "mechsearch checkpoint") for n in names]
+    running = [archive for archive in held if archive.meta["episode"] is not None]
+    assert running
+    for archive in running:
+        assert {"episode/env/ee", "episode/obs/depth"} <= set(archive.tensors)
+        assert set(archive.meta["episode"]["teachers"]) == {"straight", "zigzag"}
+
+
+def test_a_run_is_not_made_shorter(config, make_parts, tmp_path):
+    train(replace(config, actions=30), make_parts(), tmp_path)
+    with pytest.raises(MechSearchError, match=r"executed 30 actions already.*at least.*not 29"):
+        train(replace(config, actions=29), make_parts(), tmp_path, resume=True)
+
+
+def test_a_checkpoint_of_an_earlier_format_is_refused_by_its_number(config, make_parts, tmp_path):
+    train(replace(config, actions=30), make_parts(), tmp_path)
+    path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
+    archive = load_archive(path, "mechsearch checkpoint")
+    older = {name: value for name, value in archive.meta.items() if name != "checkpoint"}
+    save_archive(path, replace(archive, meta=older))
+    with pytest.raises(MechSearchError, match=r"checkpoint of format 1.*from format 2.*version"):
+        train(config, make_parts(), tmp_path, resume=True)
+
+
+def test_a_log_that_lost_lines_or_bits_is_named(config, make_parts, tmp_path):
+    train(replace(config, actions=60), make_parts(), tmp_path)
+    log = tmp_path / "metrics.jsonl"
+    content = log.read_bytes()
+    log.write_bytes(content[: len(content) // 3])
+    with pytest.raises(MechSearchError, match=r"metrics.jsonl .*lines are missing"):
+        train(config, make_parts(), tmp_path, resume=True)
+    log.write_bytes(content.replace(b"0.", b"1.", 1))
+    with pytest.raises(MechSearchError, match=r"line 1 of .*metrics.jsonl is damaged"):
+        train(config, make_parts(), tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("written", [3, 9])
+def test_a_full_disk_stops_a_run_by_name_and_costs_it_nothing(
+    written, whole, config, make_parts, tmp_path, monkeypatch
+):
+    synced, left = os.fsync, [written]
+
+    def full(handle):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        synced(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MechSearchError, match=r"cannot write .*No space left.*free some space"):
+        train(config, make_parts(), tmp_path)
+    monkeypatch.undo()
+    assert not list(tmp_path.rglob("*.partial*"))
     train(config, make_parts(), tmp_path, resume=True)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
@@ -123,13 +208,14 @@ def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp
     archive = load_archive(path, "mechsearch checkpoint")
     assert archive.meta["counts"]["failures"] == 1
     kept = int(archive.tensors["replay/complete"].sum())
-    assert kept == archive.meta["counts"]["step"] - 1
+    waits_for_its_next = archive.meta["episode"] is not None
+    assert kept == archive.meta["counts"]["step"] - 1 - waits_for_its_next
     reward, complete = archive.tensors["replay/reward"], archive.tensors["replay/complete"]
     assert torch.isfinite(reward[complete]).all()
 
 
 def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):
-    config = replace(config, actions=60, updates_per_action=1.5, checkpoint_every=1)
+    config = replace(config, actions=60, updates_per_action=1.5, evaluate_every=60)
     train(config, make_parts(), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     counts = load_archive(path, "mechsearch checkpoint").meta["counts"]

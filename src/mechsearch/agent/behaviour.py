@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mechsearch.agent.ddpg import Learner
+from mechsearch.agent.weights import fill, part, prefixed
 from mechsearch.types import Floats, Observation, select
 
 
@@ -38,6 +39,22 @@ class Behaviour:
             (self.critic, self._learner.critic),
         ):
             torch._foreach_copy_(list(own.parameters()), list(learnt.parameters()))
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the copies and the source of the masks, by name."""
+        actor, critic = self.actor.state_dict(), self.critic.state_dict()
+        networks = {**prefixed("actor", actor), **prefixed("critic", critic)}
+        return {"generator": self.generator.get_state(), **networks}
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Take back what `state` returned.
+
+        Raises:
+            MechSearchError: If it is of other networks.
+        """
+        self.generator.set_state(state["generator"])
+        fill(self.actor, part(state, "actor"))
+        fill(self.critic, part(state, "critic"))
 
     @torch.no_grad()
     def act(self, obs: Observation) -> NDArray[np.float32]:

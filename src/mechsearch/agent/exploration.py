@@ -1,7 +1,9 @@
 """Noise on the actor's action while it learns."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,14 @@ class Noise:
     def reset(self) -> None:
         """Begin an episode: the next noise is independent of the last."""
         self._last: NDArray[np.float64] | None = None
+
+    def state(self) -> dict[str, Any]:
+        """Return the last noise, as JSON, for `restore`."""
+        return {"last": None if self._last is None else self._last.tolist()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on in the middle of an episode."""
+        self._last = None if state["last"] is None else np.array(state["last"])
 
     def added(self, action: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
         """Return an action (3,) with noise, clipped to [-1, 1]."""

@@ -1,6 +1,8 @@
 """Who acts: Thompson choice among actor and teachers, with commitment (AC-Teach)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +47,14 @@ class Guidance:
         """Begin an episode: nobody is committed to."""
         self.current: int | None = None
         self.overruled = 0
+
+    def state(self) -> dict[str, Any]:
+        """Return who is committed to, as JSON, for `restore`."""
+        return {"current": self.current, "overruled": self.overruled}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on in the middle of an episode."""
+        self.current, self.overruled = state["current"], state["overruled"]
 
     def choose(self, samples: Floats, rng: np.random.Generator) -> int:
         """Return the index of the candidate that acts.

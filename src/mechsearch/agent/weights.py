@@ -1,6 +1,8 @@
 """Tensors in safetensors files: networks, optimisers and what belongs with them. Never a pickle."""
 
 import json
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,7 +101,19 @@ def save_archive(path: Path, archive: Archive) -> None:
     text = json.dumps(meta, sort_keys=True)
     # One entry alone: safetensors writes several in no fixed order.
     header = {"mechsearch": f"{crc32(text.encode())} {text}"}
-    write_whole(path, lambda partial: save_file(tensors, partial, header))
+
+    def write(partial: Path) -> None:
+        try:
+            save_file(tensors, partial, header)
+        except SafetensorError as error:
+            # While it writes, the system's error is in its text.
+            found = re.search(r"os error (\d+)", str(error))
+            if found is None:
+                raise
+            number = int(found[1])
+            raise OSError(number, os.strerror(number)) from None
+
+    write_whole(path, write)
 
 
 def kind_of(path: Path) -> str:

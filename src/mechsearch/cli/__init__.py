@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from mechsearch.runs import REFUSALS, not_written
 from mechsearch.types import MechSearchError
 
 
@@ -61,6 +62,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # Whoever read the output has had enough; what Python still holds must not be written.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
+    except OSError as error:
+        # Where a library writes by itself; other errors of the system are ours.
+        if error.errno not in REFUSALS:
+            raise
+        said = not_written(error, Path(str(error.filename or "a file")))
+        print(f"mechsearch: {said}", file=sys.stderr)
+        raise SystemExit(2) from None
     except KeyboardInterrupt:
         print("mechsearch: interrupted; files already written are whole", file=sys.stderr)
         raise SystemExit(130) from None

@@ -20,7 +20,7 @@ from mechsearch.report import tables
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.report.page import pictured
 from mechsearch.report.video import FORMATS, write_film
-from mechsearch.runs import write_whole
+from mechsearch.runs import check_place, write_whole
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
@@ -83,6 +83,9 @@ class Evaluate(Command):
             )
         for policy in self.policies:
             make_policy(policy)
+        check_place(self.out / "episodes.npz")
+        if self.summary:
+            check_place(self.summary)
         grasping = self._grasping()
         evaluations = []
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):

@@ -1,10 +1,6 @@
 """Recorded episodes: what happened, action by action, and the file that keeps them."""
 
 import json
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.runs import write_whole
+from mechsearch.runs import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.types import Array, Floats, MechSearchError
 
 FORMAT = 1
@@ -185,37 +181,18 @@ def load(path: Path) -> Evaluation:
     Raises:
         MechSearchError: If the file is missing, damaged, or not an evaluation.
     """
+    if path.is_dir():
+        raise MechSearchError(f"{path} is a folder; expected an evaluation (.npz)")
+    arrays = read_arrays(path, "evaluation")
     try:
-        _check_sums(path)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
         text = json.loads(str(arrays["text"]))
         if text["format"] != FORMAT:
             raise MechSearchError(
                 f"{path} has episode format {text['format']}; this version reads {FORMAT}"
             )
         return Evaluation(text["header"], tuple(_split(arrays, text)))
-    except FileNotFoundError:
-        raise MechSearchError(f"no evaluation at {path}") from None
-    except IsADirectoryError:
-        raise MechSearchError(f"{path} is a folder; expected an evaluation (.npz)") from None
-    except _DAMAGE as error:
-        raise MechSearchError(f"{path} is damaged or not an evaluation: {error}") from None
-
-
-_DAMAGE = (
-    *(zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, RuntimeError),
-    *(ValueError, KeyError, TypeError, IndexError, SyntaxError, tokenize.TokenError),
-)
-"""What a flipped bit may raise in the reader of archives and arrays."""
-
-
-def _check_sums(path: Path) -> None:
-    """Compare the content with its checksums, before anything reads it."""
-    with zipfile.ZipFile(path) as archive:
-        damaged = archive.testzip()
-    if damaged:
-        raise zipfile.BadZipFile(f"{damaged} does not match its checksum")
+    except ARRAY_DAMAGE as error:
+        raise MechSearchError(f"{path} is damaged or no evaluation: {error}") from None
 
 
 def _description(episode: EpisodeRecord) -> dict[str, Any]:

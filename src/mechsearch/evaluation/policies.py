@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
-from mechsearch.runs import read_json
+from mechsearch.runs import read_record
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
 
@@ -102,8 +102,7 @@ def run_config(spec: str) -> Mapping[str, Any]:
     path = Path(spec)
     for folder in (path, path.parent, path.parent.parent):
         if (folder / RUN_CONFIG).is_file():
-            config: dict[str, Any] = read_json(folder / RUN_CONFIG, "training configuration")
-            return config
+            return read_record(folder / RUN_CONFIG, "training configuration")
     return {}
 
 

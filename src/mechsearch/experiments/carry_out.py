@@ -18,7 +18,7 @@ from mechsearch.experiments.status import SweepStatus, inspected, status
 from mechsearch.experiments.sweep import run_all
 from mechsearch.experiments.trials import Grasp, Scoring, finished_runs
 from mechsearch.parallel import Mapper, map_in_order
-from mechsearch.runs import locked
+from mechsearch.runs import NotWrittenError, locked
 from mechsearch.types import MechSearchError
 from mechsearch.workers import Failure
 
@@ -95,7 +95,7 @@ def carry_out(
             open_plan(plan, folder)
             chains = chains_of(plan, folder, grasp)
             return _carry_out_all(plan, chains, folder, workers, mapper, tell)
-    except OSError as error:
+    except (OSError, NotWrittenError) as error:
         raise MechSearchError(
             f"the sweep in {path} has stopped: {error}; what is finished is whole, and the same "
             "command goes on from here"

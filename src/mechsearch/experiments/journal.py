@@ -1,6 +1,5 @@
 """Which jobs began and ended when: data for who watches, on which no result depends."""
 
-import json
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -8,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mechsearch.runs import append_line, write_text
+from mechsearch.runs import CHECK_MARK, append_line, line_of, record_of, write_text
 
 SWEEP, BEGAN, ENDED, RAISED, FAILED = "sweep", "began", "ended", "raised", "failed"
 
@@ -28,19 +27,21 @@ class Journal:
         append_line(self.path, {"event": event, "time": round(time.time(), 1), **facts})
 
     def records(self) -> list[dict[str, Any]]:
-        """Return all events; a line that a kill or a full disk has torn is left out."""
+        """Return all events; a torn or damaged line is left out."""
         found = []
         text = self.path.read_text(encoding="utf-8", errors="replace") if self.path.exists() else ""
+        # Earlier versions wrote no checksums.
+        mark = CHECK_MARK if CHECK_MARK in text else ""
         for line in text.splitlines():
-            with suppress(json.JSONDecodeError):
-                record = json.loads(line)
-                if isinstance(record, dict) and "event" in record:
+            with suppress(ValueError):
+                record = record_of(line)
+                if "event" in record and mark in line:
                     found.append(record)
         return found
 
     def begin(self, workers: int) -> None:
         """Note that a sweep begins: what was running before runs no longer."""
-        kept = "".join(json.dumps(record) + "\n" for record in self.records())
+        kept = "".join(map(line_of, self.records()))
         write_text(self.path, kept)
         self.write(SWEEP, workers=workers)
 

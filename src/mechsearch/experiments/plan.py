@@ -13,7 +13,7 @@ from mechsearch.experiments.folder import SweepFolder
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import read_record, write_record
 from mechsearch.train.config import TrainConfig, preset_config
 from mechsearch.types import MechSearchError
 
@@ -153,7 +153,7 @@ def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
                 f"{folder.path} holds {', '.join(sorted(others)[:5])} and no {folder.plan.name}; "
                 "name a new folder"
             )
-        write_json(folder.plan, found)
+        write_record(folder.plan, "plan of a sweep", found)
         return
     kept = _read(folder)
     names = [name for name in {**kept, **found} if kept.get(name) != found.get(name)]
@@ -187,8 +187,7 @@ def _text(value: Any) -> str:
 
 
 def _read(folder: SweepFolder) -> dict[str, Any]:
-    found: dict[str, Any] = read_json(folder.plan, "plan of a sweep")
-    return found
+    return read_record(folder.plan, "plan of a sweep", ("experiment", "version"))
 
 
 def _described(plan: SweepPlan, heap_sets: dict[str, str]) -> dict[str, Any]:

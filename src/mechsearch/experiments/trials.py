@@ -19,9 +19,10 @@ from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import read_record, write_record
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import TrainConfig, load_config
+from mechsearch.train.log import METRICS_FILE
 from mechsearch.train.trial import INPUTS_FILE, TrialInputs, run_trial
 from mechsearch.types import MechSearchError
 
@@ -85,13 +86,17 @@ class Training(Job):
         file = self.directory / FINISHED_FILE
         if not file.exists():
             return False
-        finished = read_json(file, "record of a finished run")
+        finished = read_record(file, "record of a finished run", ("actor",))
         actor = self.directory / ACTOR_FILE
-        if not actor.exists() or finished.get("actor") != _digest(actor):
-            raise MechSearchError(
-                f"{actor} is not what the run ended with; delete {file} to go on from the run's "
-                "last checkpoint"
-            )
+        log = self.directory / METRICS_FILE
+        # Earlier versions kept no digest of the log.
+        kept = {actor: finished.get("actor"), log: finished.get("metrics", _digest(log))}
+        for changed, digest in kept.items():
+            if digest is None or _digest(changed) != digest:
+                raise MechSearchError(
+                    f"{changed} is not what the run ended with; delete {file} to go on from the "
+                    "run's last checkpoint"
+                )
         return True
 
     def _check_directory(self) -> None:
@@ -115,7 +120,7 @@ class Training(Job):
                 f"{self.directory} holds a run of another configuration than this sweep's; move it "
                 "away"
             )
-        began = read_json(self.directory / INPUTS_FILE, "record of a run's inputs")
+        began = read_record(self.directory / INPUTS_FILE, "record of a run's inputs")
         if self.heaps.exists() and began.get("heap_set") != self.heap_set.hash:
             raise MechSearchError(
                 f"{self.directory} holds a run on other heaps than this sweep's; move it away"
@@ -130,9 +135,10 @@ class Training(Job):
         run_trial(self.config, inputs, self.directory, resume)
         done = {
             "actor": _digest(self.directory / ACTOR_FILE),
+            "metrics": _digest(self.directory / METRICS_FILE),
             "training_actions": load_policy(self.directory).training_actions,
         }
-        write_json(self.directory / FINISHED_FILE, done)
+        write_record(self.directory / FINISHED_FILE, "record of a finished run", done)
         write_curves(self.folder.curves, finished_runs(self.plan, self.folder))
 
 
@@ -288,10 +294,12 @@ class RunScoring(Scoring):
         run = {"name": self.training.variant, "training_seed": self.training.seed}
         file = self.training.directory / FINISHED_FILE
         if file.exists():
-            finished = read_json(file, "record of a finished run")
+            finished = read_record(file, "record of a finished run", ("actor",))
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
 
 
-def _digest(path: Path) -> str:
+def _digest(path: Path) -> str | None:
+    if not path.exists():
+        return None
     return hashlib.sha256(path.read_bytes()).hexdigest()

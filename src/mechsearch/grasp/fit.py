@@ -26,6 +26,7 @@ from mechsearch.grasp.grid import ANGLES
 from mechsearch.grasp.metrics import Verdict, judge
 from mechsearch.grasp.network import GraspNetwork, ready, save_network
 from mechsearch.parallel import Progress, silent
+from mechsearch.runs import alone
 from mechsearch.types import Array, MechSearchError
 
 KIND = "mechsearch grasp training"
@@ -81,8 +82,15 @@ def fit(
 
     Raises:
         MechSearchError: If there are too few heaps, the validation heaps' labels are all alike, or
-            the folder holds another training.
+            the folder holds another training, or another process is at work in it.
     """
+    with alone(folder / "training", f"the training {folder}"):
+        return _fit_alone(grasps, config, folder, progress)
+
+
+def _fit_alone(
+    grasps: Grasps, config: FitConfig, folder: Path, progress: Progress
+) -> list[dict[str, float]]:
     learn, check = split_by_heap(grasps, config.validation)
     network = _fresh(learn, config)
     optimizer = torch.optim.AdamW(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.runs import read_json, write_json, write_whole
+from mechsearch.runs import read_record, write_record, write_whole
 from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError
 
@@ -80,7 +80,7 @@ class GraspFolder:
         self._manifest: dict[str, Any] = {"format": FORMAT, **identity, "shards": {}}
         file = path / MANIFEST
         if file.exists():
-            found = read_json(file, "manifest of a grasp set")
+            found = read_record(file, "manifest of a grasp set", ("format", "shards"))
             if {**found, "shards": {}} != self._manifest:
                 differing = [k for k, v in self._manifest.items() if found.get(k) != v]
                 raise MechSearchError(
@@ -113,7 +113,7 @@ class GraspFolder:
             "grasps": len(grasps),
             "positive": int(grasps.success.sum()),
         }
-        write_json(self.path / MANIFEST, self._manifest)
+        write_record(self.path / MANIFEST, "manifest of a grasp set", self._manifest)
 
 
 def load_grasps(path: Path) -> Grasps:
@@ -122,9 +122,12 @@ def load_grasps(path: Path) -> Grasps:
     Raises:
         MechSearchError: If there are none, or a shard is missing or damaged.
     """
-    manifest = read_json(path / MANIFEST, "manifest of a grasp set")
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise MechSearchError(f"{path / MANIFEST} is no manifest of format {FORMAT}")
+    manifest = read_record(path / MANIFEST, "manifest of a grasp set", ("format", "shards"))
+    if manifest["format"] != FORMAT:
+        raise MechSearchError(
+            f"{path / MANIFEST} is of labelled grasps of format {manifest['format']}; this version "
+            f"reads {FORMAT}"
+        )
     parts = []
     for name, entry in sorted(manifest["shards"].items()):
         file = path / name

@@ -20,6 +20,7 @@ from mechsearch.grasp.view import GraspView, view_of_heap
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.runs import alone
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld
 from mechsearch.sim.perturb import Perturbation, perturbed
@@ -86,8 +87,21 @@ def label(
         progress: Told after each heap.
 
     Raises:
-        MechSearchError: If the objects are others, or the folder holds other grasps.
+        MechSearchError: If the objects are others, the folder holds other grasps, or another
+            process fills it.
     """
+    with alone(path / "grasps", f"the grasp set {path}"):
+        return _label_alone(heap_set, objects, config, path, workers, progress)
+
+
+def _label_alone(
+    heap_set: HeapSet,
+    objects: str,
+    config: LabelConfig,
+    path: Path,
+    workers: int,
+    progress: Progress,
+) -> GraspFolder:
     check_objects(heap_set, object_set(objects))
     heaps = heap_set.train if config.split == "train" else heap_set.held_out
     if not heaps or config.limit > len(heaps):

@@ -8,12 +8,12 @@ fourth pixel, how likely a grasp there succeeds.
 import zipfile
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.grasp.grid import ANGLES
+from mechsearch.runs import read_arrays
 from mechsearch.types import Array, MechSearchError
 
 KIND = "mechsearch grasp network"
@@ -122,9 +122,8 @@ def _from_release(path: Path) -> GraspNetwork:
             f"no network at {path}; expected a .safetensors file of this project, or the released "
             "FC-GQCNN-4.0-PJ weights as .npz"
         )
+    arrays = read_arrays(path, "released network")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in file.files}
         state = _renamed(arrays)
         network = GraspNetwork()
         network.load_state_dict(state)

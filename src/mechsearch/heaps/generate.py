@@ -22,7 +22,15 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
-from mechsearch.runs import append_line, read_json, read_lines, write_json, write_whole
+from mechsearch.runs import (
+    alone,
+    append_line,
+    line_of,
+    read_lines,
+    read_record,
+    write_record,
+    write_text,
+)
 from mechsearch.sim.scene import PhysicsConfig, Wall
 from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
@@ -110,8 +118,16 @@ def generate(
         mapper: How the attempts are spread.
 
     Raises:
-        MechSearchError: If `path` holds another set, or the objects are too few.
+        MechSearchError: If `path` holds another set, the objects are too few, or another process
+            generates this set.
     """
+    with alone(path, f"the heap set {path}"):
+        return _generate_alone(config, path, workers, progress, mapper)
+
+
+def _generate_alone(
+    config: GenerateConfig, path: Path, workers: int, progress: Progress, mapper: Mapper
+) -> HeapSet:
     objects = object_set(config.objects)
     needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
     if len(objects.models) < needed:
@@ -286,15 +302,15 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
         "object_hashes": dict(set_hashes(objects)),
     }
     header = journal.with_suffix(".json")
-    path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
         raise MechSearchError(f"{path} exists already; name another file or remove it")
-    if header.exists() and read_json(header, "journal") != json.loads(json.dumps(identity)):
+    if header.exists() and read_record(header, "journal of a heap set") != json.loads(
+        json.dumps(identity)
+    ):
         raise MechSearchError(
             f"{header.name} beside {path} belongs to another heap set that was cut off; finish "
             "that one with its own settings, or remove the file and its .jsonl"
         )
-    write_json(header, identity)
-    lines = [json.dumps(row) + "\n" for row in read_lines(journal)]
-    write_whole(journal, lambda partial: partial.write_text("".join(lines)))
+    write_record(header, "journal of a heap set", identity)
+    write_text(journal, "".join(map(line_of, read_lines(journal))))
     return journal

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from mechsearch.evaluation.metrics import Estimate
 from mechsearch.report.figures import COLOURS, GREY, grid, style, to_svg
 from mechsearch.report.tables import display
-from mechsearch.runs import read_json, read_lines
+from mechsearch.runs import read_lines, read_record
 from mechsearch.types import Floats, MechSearchError
 
 METRICS_FILE = "metrics.jsonl"
@@ -55,7 +55,7 @@ def read_run(directory: Path) -> Run:
     Raises:
         MechSearchError: If it holds no run, or its log is damaged.
     """
-    config = read_json(directory / CONFIG_FILE, "training configuration")
+    config = read_record(directory / CONFIG_FILE, "training configuration")
     records: dict[str, list[Mapping[str, Any]]] = {}
     try:
         for record in read_lines(directory / METRICS_FILE):

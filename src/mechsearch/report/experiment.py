@@ -16,7 +16,7 @@ from mechsearch.evaluation.episodes import Evaluation, load
 from mechsearch.evaluation.metrics import measure
 from mechsearch.report.curves import CONFIG_FILE, METRICS_FILE, Run, read_run
 from mechsearch.report.failure_modes import Behaviour, behaviour
-from mechsearch.runs import read_json
+from mechsearch.runs import read_record
 from mechsearch.types import Floats, MechSearchError
 
 PLAN_FILE = "sweep.json"
@@ -165,7 +165,7 @@ def read_experiment(folder: Path) -> Experiment:
     Raises:
         MechSearchError: If a file is damaged or belongs elsewhere, or nothing was scored yet.
     """
-    plan = read_json(folder / PLAN_FILE, "plan of a sweep")
+    plan = read_record(folder / PLAN_FILE, "plan of a sweep")
     if not isinstance(plan, dict):
         raise MechSearchError(f"{folder / PLAN_FILE} is not the plan of a sweep")
     folders = sorted(

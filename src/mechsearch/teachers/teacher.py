@@ -5,8 +5,9 @@ suggestion was executed: it rejoins its path where it is near, approaches the pa
 where it is not, and begins another push when one is finished.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,27 @@ class Teacher:
         self._waypoints: list[Floats] = []
         self._closest = np.inf
         self._stalled = 0
+
+    def state(self) -> dict[str, Any]:
+        """Return how far the current push is, as JSON, for `restore`."""
+        return {
+            "rng": self._rng.bit_generator.state,
+            "next_direction": self._next_direction,
+            "push": [point.tolist() for point in self._push],
+            "waypoints": [point.tolist() for point in self._waypoints],
+            "closest": None if np.isinf(self._closest) else self._closest,
+            "stalled": self._stalled,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on with a push exactly where `state` was asked for it."""
+        self._rng = np.random.default_rng()
+        self._rng.bit_generator.state = state["rng"]
+        self._next_direction = state["next_direction"]
+        self._push = [np.array(point) for point in state["push"]]
+        self._waypoints = [np.array(point) for point in state["waypoints"]]
+        self._closest = np.inf if state["closest"] is None else state["closest"]
+        self._stalled = state["stalled"]
 
     @property
     def waypoints(self) -> list[Floats]:

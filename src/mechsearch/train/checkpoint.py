@@ -16,6 +16,9 @@ from mechsearch.train.config import TrainConfig, load_config, save_config
 from mechsearch.types import MechSearchError
 
 KIND = "mechsearch checkpoint"
+FORMAT = 2
+"""With the running episode; the first format had none."""
+
 CONFIG_FILE = "config.json"
 _KEPT = 2
 
@@ -30,8 +33,8 @@ class RunDirectory:
         """Prepare the directory; return the last checkpoint when resuming.
 
         Raises:
-            MechSearchError: If it holds a run and `resume` is off, or a run of another
-                configuration (its length may differ).
+            MechSearchError: If it holds a run and `resume` is off, a run of another configuration
+                or of more actions, or a damaged or older checkpoint.
         """
         file = self.path / CONFIG_FILE
         if not file.exists():
@@ -40,14 +43,34 @@ class RunDirectory:
         if not resume:
             raise MechSearchError(f"{self.path} holds a run already; resume it or name another")
         _check_same(load_config(file), config, self.path)
-        save_config(config, file)
         found = self._checkpoints()
-        return load_archive(found[-1], KIND) if found else None
+        checkpoint = _load(found[-1]) if found else None
+        if checkpoint and config.actions and checkpoint.meta["step"] > config.actions:
+            raise MechSearchError(
+                f"{self.path} has executed {checkpoint.meta['step']} actions already; expected "
+                f"--actions of at least as many, not {config.actions}"
+            )
+        save_config(config, file)
+        return checkpoint
 
-    def save(self, step: int, tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> None:
-        """Write a checkpoint and drop all but the last two."""
+    def save(
+        self,
+        step: int,
+        tensors: Mapping[str, Tensor],
+        meta: Mapping[str, Any],
+        logged: int,
+    ) -> None:
+        """Write a checkpoint and drop all but the last two.
+
+        Args:
+            step: How far the run is.
+            tensors: What to keep.
+            meta: Likewise, as JSON.
+            logged: Length of the metrics then [bytes]; see `RunLog`.
+        """
         path = self.path / "checkpoints" / f"step-{step:08d}.safetensors"
-        save_archive(path, Archive(KIND, tensors, meta))
+        facts = {"checkpoint": FORMAT, "step": step, "logged": logged, **meta}
+        save_archive(path, Archive(KIND, tensors, facts))
         for old in self._checkpoints()[:-_KEPT]:
             old.unlink()
 
@@ -58,6 +81,17 @@ class RunDirectory:
 
     def _checkpoints(self) -> list[Path]:
         return sorted((self.path / "checkpoints").glob("step-*.safetensors"))
+
+
+def _load(path: Path) -> Archive:
+    checkpoint = load_archive(path, KIND)
+    found = checkpoint.meta.get("checkpoint", 1)
+    if found != FORMAT:
+        raise MechSearchError(
+            f"{path} is a checkpoint of format {found}; this version goes on from format {FORMAT}. "
+            "Finish the run with the version that began it, or begin it anew in another folder"
+        )
+    return checkpoint
 
 
 def _check_same(stored: TrainConfig, given: TrainConfig, path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -14,8 +14,39 @@ from mechsearch.agent.guidance import Guidance
 from mechsearch.train.config import TrainConfig
 from mechsearch.types import Array, Observation, Policy, select
 
-Env = gymnasium.Env[dict[str, Array], Array]
 Evaluator = Callable[[Policy], Mapping[str, float]]
+
+
+class Env(Protocol):
+    """What a run needs of a task: Gymnasium's episodes, which can be kept and gone on with."""
+
+    @property
+    def observation_space(self) -> gymnasium.Space[Any]:
+        """A dictionary of boxes."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Begin an episode on the heap that `options` names."""
+
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Execute one action."""
+
+    def snapshot(self) -> dict[str, Array]:
+        """Return all that the rest of the episode depends on."""
+
+    def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
+        """Go on from a snapshot, bit by bit; return its observation."""
+
+
+class Guide(Policy, Protocol):
+    """A policy that can be kept in the middle of an episode."""
+
+    def state(self) -> dict[str, Any]:
+        """Return all that its next actions depend on besides what it sees, as JSON."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take back what `state` returned."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +62,7 @@ class Parts:
 
     env: Env
     heaps: Sequence[int]
-    teachers: Mapping[str, Policy]
+    teachers: Mapping[str, Guide]
     evaluators: Mapping[str, Evaluator]
 
 
@@ -116,12 +147,40 @@ class Collector:
             decision = self._decide(obs)
             after, reward, terminated, truncated, info = self._parts.env.step(decision.action)
             done.append(
-                Transition(
-                    self._heap, obs, decision, after, float(reward), terminated, truncated, info
-                )
+                Transition(self._heap, obs, decision, after, reward, terminated, truncated, info)
             )
             self._obs = None if done[-1].over else after
         return done
+
+    def archive(self) -> tuple[dict[str, Array], dict[str, Any] | None]:
+        """Return the episode that goes on, as arrays and JSON, for `restore`; None between two."""
+        if self._obs is None:
+            return {}, None
+        arrays = {f"env/{name}": value for name, value in self._parts.env.snapshot().items()}
+        arrays |= {f"obs/{key}": value for key, value in self._obs.items()}
+        teachers = {name: teacher.state() for name, teacher in self._parts.teachers.items()}
+        return arrays, {
+            "heap": self._heap,
+            "guidance": self._guidance.state(),
+            "noise": self._noise.state(),
+            "teachers": teachers,
+        }
+
+    def restore(self, arrays: Mapping[str, Array], facts: Mapping[str, Any] | None) -> None:
+        """Take back what `archive` returned."""
+        if facts is None:
+            return
+        self._heap = facts["heap"]
+        self._guidance.restore(facts["guidance"])
+        self._noise.restore(facts["noise"])
+        for name, teacher in self._parts.teachers.items():
+            teacher.restore(facts["teachers"][name])
+        kept: dict[str, dict[str, Array]] = {"env": {}, "obs": {}}
+        for path, value in arrays.items():
+            owner, _, name = path.partition("/")
+            kept[owner][name] = value
+        self._parts.env.restore(kept["env"])
+        self._obs = kept["obs"]
 
     def _begin(self) -> Observation:
         """Begin an episode on a random heap; return its first observation."""

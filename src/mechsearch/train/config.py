@@ -11,7 +11,7 @@ from mechsearch.agent.guidance import GuidanceConfig
 from mechsearch.agent.push_policy import PushPolicyConfig
 from mechsearch.agent.push_value import PushValueConfig
 from mechsearch.agent.records import record_from_json
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import read_record, write_record
 from mechsearch.teachers import TEACHERS
 from mechsearch.types import (
     ACTOR_KEYS,
@@ -19,6 +19,8 @@ from mechsearch.types import (
     RGB_ACTOR_KEYS,
     MechSearchError,
 )
+
+PURPOSE = "training configuration"
 
 CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
 """What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
@@ -112,7 +114,7 @@ class TrainConfig:
         warmup: Actions before the first update.
         replay_rows: Most frames kept.
         evaluate_every: Actions (in imitation: updates) between evaluations.
-        checkpoint_every: Likewise between checkpoints, which wait for the end of an episode.
+        checkpoint_every: Likewise between checkpoints.
         validation_heaps: Training heaps set apart to watch the learning.
         held_out_heaps: Held-out heaps to log a curve on, from the untrained actor on; they choose
             nothing.
@@ -246,7 +248,7 @@ def preset_config(name: str) -> TrainConfig:
 
 def save_config(config: TrainConfig, path: Path) -> None:
     """Write a configuration as JSON."""
-    write_json(path, asdict(config))
+    write_record(path, PURPOSE, asdict(config))
 
 
 def load_config(path: Path) -> TrainConfig:
@@ -255,4 +257,5 @@ def load_config(path: Path) -> TrainConfig:
     Raises:
         MechSearchError: If the file is missing, damaged, or has unknown fields.
     """
-    return record_from_json(TrainConfig, read_json(path, "training configuration"))
+    found = read_record(path, PURPOSE, ("name", "seed", "actions"))
+    return record_from_json(TrainConfig, found)

@@ -1,7 +1,5 @@
 """A store of demonstrations: one file for each episode, and a manifest that says of what."""
 
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.runs import read_json, write_json, write_whole
+from mechsearch.runs import read_arrays, read_record, write_record, write_whole
 from mechsearch.types import Array, MechSearchError, Observation
 
 FORMAT = 1
@@ -87,7 +85,7 @@ class DemonstrationStore:
         manifest = {"format": FORMAT, **facts}
         file = self.path / MANIFEST_FILE
         if not file.exists():
-            write_json(file, manifest)
+            write_record(file, "manifest of demonstrations", manifest)
             return
         found = self.facts()
         differing = [
@@ -106,11 +104,12 @@ class DemonstrationStore:
         Raises:
             MechSearchError: If there is none.
         """
-        found: dict[str, Any] = read_json(self.path / MANIFEST_FILE, "demonstrations' manifest")
-        if found.get("format") != FORMAT:
+        file = self.path / MANIFEST_FILE
+        found = read_record(file, "manifest of demonstrations", ("format",))
+        if found["format"] != FORMAT:
             raise MechSearchError(
-                f"the demonstrations at {self.path} have format {found.get('format')}; "
-                f"this version reads {FORMAT}"
+                f"{file} is of demonstrations of format {found['format']}; this version reads "
+                f"{FORMAT}"
             )
         return found
 
@@ -137,24 +136,14 @@ class DemonstrationStore:
             MechSearchError: If it is missing or damaged.
         """
         path = self.path / f"{name}.npz"
+        arrays = read_arrays(path, "demonstration")
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-            obs = {
-                key.removeprefix("obs."): value
-                for key, value in arrays.items()
-                if key.startswith("obs.")
-            }
             return Demonstration(
-                obs,
+                {k.removeprefix("obs."): v for k, v in arrays.items() if k.startswith("obs.")},
                 arrays["action"],
-                int(arrays["simulated_actions"]),
-                int(arrays["executed_actions"]),
-                float(arrays["episode_return"]),
+                *(arrays[fact].item() for fact in _FACTS),
             )
-        except FileNotFoundError:
-            raise MechSearchError(f"no demonstration at {path}") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except (ValueError, KeyError, TypeError, MechSearchError) as error:
             raise MechSearchError(f"the demonstration at {path} is damaged: {error}") from None
 
     def read_all(self, limit: int = 0) -> list[Demonstration]:

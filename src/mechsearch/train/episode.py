@@ -50,6 +50,23 @@ class EpisodeLog:
         """Note what one update reported."""
         self._updates.append(metrics)
 
+    def state(self) -> dict[str, Any]:
+        """Return all that was noted, as JSON whose order matters, for `restore`."""
+        return {
+            "chosen": self._chosen,
+            "q": self._q,
+            "saturated": self._saturated,
+            "rewards": self._rewards,
+            "terms": self._terms,
+            "updates": self._updates,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take back what `state` returned."""
+        for name, noted in state.items():
+            setattr(self, f"_{name}", noted)
+        self._terms = defaultdict(float, state["terms"])
+
     def summary(self, terminated: bool, info: Mapping[str, Any]) -> dict[str, Any]:
         """Return the episode's line.
 

@@ -11,7 +11,7 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
-from mechsearch.runs import write_json
+from mechsearch.runs import alone, write_record
 from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.types import Observation
 from mechsearch.workers import Failure
@@ -99,8 +99,18 @@ def demonstrate(
         mapper: How the heaps are spread.
 
     Raises:
-        MechSearchError: If heaps and objects do not fit, or the folder is of another heap set.
+        MechSearchError: If heaps and objects do not fit, the folder is of another heap set, or
+            another process demonstrates the same share of the heaps.
     """
+    # Other shares of the heaps may be demonstrated into the same folder at the same time.
+    share = path / f"heaps-{config.first}-{config.count}"
+    with alone(share, f"the demonstrations {path}"):
+        return _demonstrate_alone(config, path, workers, progress, mapper)
+
+
+def _demonstrate_alone(
+    config: DemonstrateConfig, path: Path, workers: int, progress: Progress, mapper: Mapper
+) -> DemonstrationStore:
     heap_set = load(config.heaps)
     check_objects(heap_set, object_set(config.objects))
     store = DemonstrationStore(path)
@@ -120,11 +130,13 @@ def demonstrate(
     for i, (name, result) in enumerate(zip(todo, results, strict=True)):
         if isinstance(result, Failure):
             lost = {"simulated_actions": 0, "failure": result.reason}
-            write_json(path / f"{name}{FAILED}", lost)
         elif result[0] is None:
-            write_json(path / f"{name}{FAILED}", {"simulated_actions": result[1]})
+            lost = {"simulated_actions": result[1]}
         else:
             store.write(name, result[0])
+            lost = {}
+        if lost:
+            write_record(path / f"{name}{FAILED}", "failed demonstration", lost)
         progress("demonstrated heaps", len(names) - len(todo) + i + 1, len(names))
     return store
 

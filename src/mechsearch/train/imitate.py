@@ -128,7 +128,7 @@ def imitate(
     checkpoint = directory_of_run.open(config, resume)
     if checkpoint:
         run.restore(checkpoint)
-    log = RunLog(directory, run.counts["updates"])
+    log = RunLog(directory, checkpoint)
     scores = _clone(run, directory_of_run, parts, log, progress)
     if expert and run.counts["executed"] < config.imitation.executed_actions:
         scores = _correct(run, directory_of_run, parts, expert, log, progress)
@@ -151,7 +151,7 @@ def _clone(
             log.write_speed(done, speed.lap(0, done))
             scores = _scored(run, files, parts, log)
         if done % run.config.checkpoint_every == 0 or done == total:
-            files.save(done, *run.archive())
+            files.save(done, *run.archive(), log.size)
         progress(label(f"{run.config.name} imitates", scores), done, total)
     return scores
 
@@ -193,7 +193,7 @@ def _correct(
         every = run.config.evaluate_every
         if over or counts["executed"] // every > before // every:
             scores = _scored(run, files, parts, log)
-            files.save(counts["updates"], *run.archive())
+            files.save(counts["updates"], *run.archive(), log.size)
         done = min(counts["executed"], plan.executed_actions)
         progress(label(f"{run.config.name} is corrected", scores), done, plan.executed_actions)
     return scores

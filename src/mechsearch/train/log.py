@@ -1,13 +1,14 @@
 """A run's metrics: JSON lines, which are the truth, and TensorBoard beside them."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from mechsearch.runs import append_line, read_lines, write_whole
+from mechsearch.agent.weights import Archive
+from mechsearch.runs import append_line, line_of, naming, read_lines, write_text, write_whole
+from mechsearch.types import MechSearchError
 
 METRICS_FILE = "metrics.jsonl"
 SPEED_FILE = "speed.jsonl"
@@ -20,14 +21,25 @@ class RunLog:
     `speed.jsonl` holds what depends on the machine.
     """
 
-    def __init__(self, directory: Path, step: int = 0) -> None:
-        """Open the log at a step; records of later steps, which will come again, are dropped."""
-        directory.mkdir(parents=True, exist_ok=True)
+    def __init__(self, directory: Path, checkpoint: Archive | None = None) -> None:
+        """Open the log as it was at a checkpoint; what came later will come again.
+
+        Raises:
+            MechSearchError: If lines of before the checkpoint are missing or damaged.
+        """
+        step, size = (checkpoint.meta[name] if checkpoint else 0 for name in ("step", "logged"))
         self._directory = directory
-        for name in (METRICS_FILE, SPEED_FILE):
-            _drop_after(directory / name, step)
+        _cut(directory / METRICS_FILE, size)
+        _drop_after(directory / SPEED_FILE, step)
         events = str(directory / "tensorboard")
-        self._events = SummaryWriter(events, purge_step=step + 1 if step else None)
+        with naming(directory / "tensorboard"):
+            self._events = SummaryWriter(events, purge_step=step + 1 if step else None)
+
+    @property
+    def size(self) -> int:
+        """Length of the metrics [bytes], for a checkpoint."""
+        file = self._directory / METRICS_FILE
+        return file.stat().st_size if file.exists() else 0
 
     def write(self, kind: str, step: int, values: Mapping[str, Any]) -> None:
         """Append what was found at a step: text and numbers; numbers become curves."""
@@ -40,23 +52,32 @@ class RunLog:
         self._draw("speed", step, values)
 
     def _draw(self, kind: str, step: int, values: Mapping[str, Any]) -> None:
-        for name, value in values.items():
-            if isinstance(value, int | float):
-                self._events.add_scalar(f"{kind}/{name}", value, step)
+        with naming(self._directory / "tensorboard"):
+            for name, value in values.items():
+                if isinstance(value, int | float):
+                    self._events.add_scalar(f"{kind}/{name}", value, step)
 
     def close(self) -> None:
         """Finish the TensorBoard file."""
-        self._events.close()
+        with naming(self._directory / "tensorboard"):
+            self._events.close()
+
+
+def _cut(path: Path, size: int) -> None:
+    """Keep the first `size` bytes of a log, which must be whole and sound."""
+    content = path.read_bytes() if path.exists() else b""
+    if len(content) < size:
+        raise MechSearchError(
+            f"{path} has {len(content)} bytes, and had {size} at the run's last checkpoint: lines "
+            "are missing; bring the file back, or begin the run anew in another folder"
+        )
+    if content:
+        write_whole(path, lambda partial: partial.write_bytes(content[:size]))
+    for _ in read_lines(path):
+        pass
 
 
 def _drop_after(path: Path, step: int) -> None:
-    """Keep what was logged up to a step; a run that begins anew keeps nothing."""
-    if not path.exists():
-        return
-    kept = [record for record in read_lines(path) if step and record["step"] <= step]
-    text = "".join(json.dumps(record) + "\n" for record in kept)
-
-    def write(partial: Path) -> None:
-        partial.write_text(text, encoding="utf-8")
-
-    write_whole(path, write)
+    if path.exists():
+        kept = (record for record in read_lines(path) if step and record["step"] <= step)
+        write_text(path, "".join(map(line_of, kept)))

@@ -30,7 +30,8 @@ def train(
         config: The run.
         parts: Environment, teachers and evaluators.
         directory: Where the run is written.
-        resume: Go on from the last checkpoint, exactly as if nothing had happened.
+        resume: Go on from the last checkpoint, exactly as if nothing had happened; a finished run
+            goes on to more actions as if it had been meant to from the start.
         progress: Told after each action, with the last evaluation.
 
     Raises:
@@ -40,30 +41,38 @@ def train(
     checkpoint = run.open(config, resume)
     if checkpoint:
         session.restore(checkpoint)
-    log, speed = RunLog(directory, session.step), Speed(session.step, session.counts["updates"])
+    log, speed = RunLog(directory, checkpoint), Speed(session.step, session.counts["updates"])
     scores: dict[str, float] = {}
+
+    def look() -> dict[str, float]:
+        session.update()
+        log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
+        policy = ActorPolicy(session.learner.actor, session.step)
+        run.save_actor(session.step, policy)
+        return evaluate(policy, session.step, parts.evaluators, log)
+
     if session.step == 0 and config.held_out_heaps:
         scores = evaluate(ActorPolicy(session.learner.actor), 0, parts.evaluators, log)
-    last_saved = session.step
     with background() as thread:
         while session.step < config.actions:
-            session.behaviour.refresh()
-            actions = thread.submit(session.collector.collect, session.next_block())
-            with speed.updating():
-                session.update()
+            begins = session.begins_block
+            if begins:
+                session.behaviour.refresh()
+            actions = thread.submit(session.collector.collect, session.next_actions())
+            if begins:
+                with speed.updating():
+                    session.update()
             for transition in actions.result():
                 summary = session.store(transition)
                 if summary is not None:
                     log.write("episode", session.step, summary)
                 progress(label(config.name, scores), session.step, config.actions)
-            if session.step % config.evaluate_every == 0 or session.step == config.actions:
-                session.update()
-                log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
-                policy = ActorPolicy(session.learner.actor, session.step)
-                scores = evaluate(policy, session.step, parts.evaluators, log)
-                run.save_actor(session.step, policy)
-            if session.episode is None and session.step - last_saved >= config.checkpoint_every:
-                run.save(session.step, *session.archive())
-                last_saved = session.step
+            if session.step % config.evaluate_every == 0:
+                scores = look()
+            if session.step % config.checkpoint_every == 0 or session.step == config.actions:
+                run.save(session.step, *session.archive(), log.size)
+    # After the checkpoint: a run that is made longer later does not look here.
+    if session.step % config.evaluate_every:
+        scores = look()
     log.close()
     return scores

@@ -1,5 +1,7 @@
-"""The learning side of a run: everything that changes while it goes on, except the world."""
+"""All of a run that changes while it goes on."""
 
+import json
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -14,7 +16,7 @@ from mechsearch.train.checkpoint import generator_state, restore_generator
 from mechsearch.train.collector import Collector, Env, Parts, Transition
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.episode import EpisodeLog
-from mechsearch.types import MechSearchError
+from mechsearch.types import Array, MechSearchError
 
 
 class Session:
@@ -45,18 +47,32 @@ class Session:
         self.behaviour = Behaviour(self.learner, config.seed + 1)
         self.collector = Collector(config, parts, self.behaviour, self.rngs)
         self.episode: EpisodeLog | None = None
-        self.counts = {"step": 0, "episodes": 0, "updates": 0, "failures": 0}
+        self.counts = {"step": 0, "block": 0, "episodes": 0, "updates": 0, "failures": 0}
 
     @property
     def step(self) -> int:
         """Actions executed so far."""
         return self.counts["step"]
 
-    def next_block(self) -> int:
-        """Return how many actions to execute before the networks are looked at again."""
+    @property
+    def begins_block(self) -> bool:
+        """Whether to look at the networks: those that act stay the same within a block.
+
+        Blocks end with episodes and before evaluations, wherever the run or a checkpoint does, so
+        that a run which is cut off and goes on is the run that was never stopped.
+        """
+        return self.step == self.counts["block"]
+
+    def next_actions(self) -> int:
+        """Return how many actions to execute before something else is due."""
         config, step = self.config, self.step
-        stop = min(config.actions, step - step % config.evaluate_every + config.evaluate_every)
-        return min(config.block, stop - step)
+        saving = step - step % config.checkpoint_every + config.checkpoint_every
+        return min(self._block_end, saving, config.actions) - step
+
+    @property
+    def _block_end(self) -> int:
+        began, every = self.counts["block"], self.config.evaluate_every
+        return min(began + self.config.block, began - began % every + every)
 
     def store(self, done: Transition) -> dict[str, Any] | None:
         """Keep what an action led to; return the episode's summary if it is over.
@@ -66,11 +82,12 @@ class Session:
         self.counts["step"] += 1
         self.counts["episodes"] += done.over
         if self.episode is None:
-            names = ("actor", *self.parts.teachers)
-            self.episode = EpisodeLog(done.heap, names, self.config.learner.gamma)
+            self.episode = self._new_log(done.heap)
         decision = done.decision
         self.episode.add(decision.choice, decision.q, decision.actor_action, done.reward, done.info)
         self._remember(done)
+        if done.over or self.step == self._block_end:
+            self.counts["block"] = self.step
         if not done.over:
             return None
         # What is due for the episode belongs in its summary.
@@ -99,26 +116,50 @@ class Session:
                 self.episode.add_update(metrics)
 
     def archive(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-        """Return tensors and facts that `restore` takes back, between two episodes."""
-        stored = {key: torch.from_numpy(value) for key, value in self.replay.state().items()}
-        tensors = {**prefixed("learner", self.learner.state()), **prefixed("replay", stored)}
-        tensors["behaviour"] = self.behaviour.generator.get_state()
-        rngs = {name: generator_state(rng) for name, rng in self.rngs.items()}
-        return tensors, {"counts": dict(self.counts), "generators": rngs}
+        """Return tensors and facts that `restore` takes back, the running episode included."""
+        arrays, episode = self.collector.archive()
+        tensors = {
+            **prefixed("learner", self.learner.state()),
+            **prefixed("behaviour", self.behaviour.state()),
+            **prefixed("replay", _tensors(self.replay.state())),
+            **prefixed("episode", _tensors(arrays)),
+        }
+        return tensors, {
+            "counts": dict(self.counts),
+            "generators": {name: generator_state(rng) for name, rng in self.rngs.items()},
+            "episode": episode,
+            # As text, since the order of its names is the order in the log.
+            "episode_log": None if self.episode is None else json.dumps(self.episode.state()),
+        }
 
     def restore(self, archive: Archive) -> None:
-        """Go back to a checkpoint; the next episode begins there.
+        """Go back to a checkpoint, in the middle of an episode or between two.
 
         Raises:
             MechSearchError: If it is of other networks or observations.
         """
-        self.learner.restore(part(archive.tensors, "learner"))
-        self.behaviour.generator.set_state(archive.tensors["behaviour"])
-        stored = part(archive.tensors, "replay")
-        self.replay.restore({key: value.numpy() for key, value in stored.items()})
-        self.counts = {**self.counts, **archive.meta["counts"]}
+        tensors, meta = archive.tensors, archive.meta
+        self.learner.restore(part(tensors, "learner"))
+        self.behaviour.restore(part(tensors, "behaviour"))
+        self.replay.restore(_arrays(part(tensors, "replay")))
+        self.collector.restore(_arrays(part(tensors, "episode")), meta["episode"])
+        self.counts = {**self.counts, **meta["counts"]}
         for name, rng in self.rngs.items():
-            restore_generator(rng, archive.meta["generators"][name])
+            restore_generator(rng, meta["generators"][name])
+        if meta["episode_log"] is not None:
+            self.episode = self._new_log(meta["episode"]["heap"])
+            self.episode.restore(json.loads(meta["episode_log"]))
+
+    def _new_log(self, heap: int) -> EpisodeLog:
+        return EpisodeLog(heap, ("actor", *self.parts.teachers), self.config.learner.gamma)
+
+
+def _tensors(arrays: Mapping[str, Array]) -> dict[str, torch.Tensor]:
+    return {name: torch.as_tensor(value) for name, value in arrays.items()}
+
+
+def _arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, Array]:
+    return {name: tensor.numpy() for name, tensor in tensors.items()}
 
 
 def _spaces(env: Env, config: TrainConfig) -> dict[str, gymnasium.Space[Any]]:

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.fingerprint import crossed, fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Progress, silent
-from mechsearch.runs import read_json, write_json
+from mechsearch.runs import alone, read_record, write_record
 from mechsearch.train.assemble import assemble
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.collector import Env
@@ -25,6 +26,7 @@ INPUTS_FILE = "inputs.json"
 """What a run was made from, beside its configuration, so that it can go on by itself."""
 
 _HISTORY = "fingerprints"
+_PURPOSE = "record of a run's inputs"
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class TrialInputs:
         Raises:
             MechSearchError: If it has no record of that.
         """
-        record = read_json(directory / INPUTS_FILE, "record of a run's inputs")
+        record = _read(directory)
         shown = record["demonstrations"]
         return cls(Path(record["heaps"]), record["objects"], Path(shown) if shown else None)
 
@@ -70,8 +72,16 @@ def run_trial(
         progress: Told after each action or update.
 
     Raises:
-        MechSearchError: If the inputs do not fit, or the directory holds another run.
+        MechSearchError: If the inputs do not fit, the directory holds another run, or another
+            process is at work in it.
     """
+    with alone(directory / "run", f"the run {directory}"):
+        return _run_alone(config, inputs, directory, resume, progress)
+
+
+def _run_alone(
+    config: TrainConfig, inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
+) -> dict[str, float]:
     heap_set = load(inputs.heaps)
     objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
     check_objects(heap_set, objects)
@@ -111,9 +121,14 @@ def _demonstrations(
     return store.read_all(imitation.demonstrations)
 
 
+def _read(directory: Path) -> dict[str, Any]:
+    needed = ("heaps", "heap_set", "objects", "demonstrations")
+    return read_record(directory / INPUTS_FILE, _PURPOSE, needed)
+
+
 def crossings(directory: Path) -> list[str]:
     """Return what a run went on with instead of what it began with; see `fingerprint.crossed`."""
-    history = read_json(directory / INPUTS_FILE, "record of a run's inputs").get(_HISTORY, [])
+    history = _read(directory).get(_HISTORY, [])
     return [text for before, now in pairwise(history) for text in crossed(before, now)]
 
 
@@ -133,7 +148,7 @@ def _record(
     """
     file = directory / INPUTS_FILE
     if resume:
-        record = read_json(file, "record of a run's inputs")
+        record = _read(directory)
         began, history = record["heap_set"], record.get(_HISTORY, [])
         if began != heap_set.hash:
             raise MechSearchError(
@@ -141,7 +156,7 @@ def _record(
                 f"{heap_set.hash[:12]}...; go on with the same"
             )
         if history[-1:] != [now]:
-            write_json(file, record | {_HISTORY: [*history, now]})
+            write_record(file, _PURPOSE, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
         shown = inputs.demonstrations
         record = {
@@ -151,7 +166,7 @@ def _record(
             "demonstrations": str(shown.resolve()) if shown else None,
             _HISTORY: [now],
         }
-        write_json(file, record)
+        write_record(file, _PURPOSE, record)
 
 
 def _expert_for(task: Env) -> Expert:
