@@ -1,4 +1,4 @@
-"""Run all long tests, or some: `python -m soak [actions] [generation] [training] [sweep] [mutants]`."""
+"""Run all long tests, or some: `python -m soak actions generation training sweep mutants`."""
 
 import json
 import os

@@ -16,6 +16,7 @@ from mechsearch.agent.push_value import (
 from mechsearch.pushes import NUMBERS, PATCH, PushViews
 from mechsearch.types import MechSearchError
 
+
 @pytest.fixture(autouse=True)
 def _one_thread():
     """Threads cost more than networks this small."""

@@ -45,7 +45,7 @@ def learn_pushes(
     if checkpoint:
         count = int(checkpoint.meta["counts"]["episodes"])
         session.restore(checkpoint, [load_episode(_file(directory, i)) for i in range(count)])
-    log, scores = RunLog(directory, session.counts["fits"] * config.evaluate_every), {}
+    log, scores = RunLog(directory, checkpoint), {}
     if not checkpoint and config.held_out_heaps:
         scores = evaluate(session.policy, 0, parts.evaluators, log)
     while session.counts["executed"] < config.actions:
@@ -59,7 +59,7 @@ def learn_pushes(
         log.write("fit", step, session.fit())
         scores = evaluate(session.policy, step, parts.evaluators, log)
         files.save_actor(step, session.policy)
-        files.save(step, *session.archive())
+        files.save(step, *session.archive(), log.size)
     log.close()
     return scores
 
