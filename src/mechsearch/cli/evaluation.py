@@ -10,11 +10,13 @@ from typing import Annotated, Any
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
+from mechsearch.env.register import embedded_file
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
+from mechsearch.evaluation.shipped import SHIPPED
 from mechsearch.parallel import Mapper
 from mechsearch.report import tables
 from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
@@ -34,9 +36,11 @@ class Evaluate(Command):
 
     Attributes:
         policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, look-ahead
-            (tries the teachers' pushes in the simulator), a run directory, an actor's file
-            (.safetensors), or package.module:factory.
-        heaps: Heap set (.parquet).
+            (tries the teachers' pushes in the simulator), single or dual (the trained policies
+            that are shipped), a run directory, an actor's file (.safetensors), or
+            package.module:factory.
+        heaps: Heap set (.parquet); by default the embedded heaps of household objects, single
+            ones but for the policy dual.
         out: Folder for the recorded episodes, one file for each policy.
         name: Under which a single policy is reported; by default that of its run, or its own text.
         objects: Object set; the one that the heaps name by default.
@@ -58,7 +62,7 @@ class Evaluate(Command):
     policies: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")
     ]
-    heaps: Path
+    heaps: Path | None = None
     out: Path = Path("evaluations")
     name: str = ""
     objects: str = ""
@@ -102,9 +106,10 @@ class Evaluate(Command):
         wrote(self.out)
 
     def _plan(self, policy: str) -> EvaluationPlan:
+        condition = policy if policy in SHIPPED else "single"
         return EvaluationPlan(
             policy,
-            self.heaps,
+            self.heaps or embedded_file(condition),
             name=self.name,
             objects=self.objects,
             split=self.split,

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
+from mechsearch import heaps as heap_sets
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.vector import VectorHeapEnv
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
@@ -18,11 +18,16 @@ from mechsearch.types import MechSearchError
 SPLITS = ("train", "held-out", "all")
 
 
+def embedded_file(condition: str) -> Path:
+    """Return the file of the small heap set of household objects that the package holds."""
+    return Path(str(heap_sets.__file__)).with_name(
+        f"household_{check_condition(condition)}.parquet"
+    )
+
+
 def embedded_heaps(condition: str) -> HeapSet:
     """Return the small heap set of household objects that the package holds."""
-    name = f"household_{check_condition(condition)}.parquet"
-    with resources.as_file(resources.files("mechsearch.heaps") / name) as path:
-        return load(path)
+    return load(embedded_file(condition))
 
 
 def make_env(

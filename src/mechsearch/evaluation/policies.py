@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
+from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
 from mechsearch.runs import read_record
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
@@ -64,8 +65,8 @@ def make_policy(spec: str) -> Policy:
 
     Args:
         spec: "random", "idle", "teacher-straight", "teacher-zigzag", "teacher-spiral" or
-            "look-ahead"; a run directory, whose last actor is meant, or one actor's file
-            (.safetensors); or `package.module:factory`, a function without arguments, or a class,
+            "look-ahead"; "single" or "dual", the trained policies that are shipped; a run
+            directory, whose last actor is meant, or one actor's file (.safetensors); or `package.module:factory`, a function without arguments, or a class,
             that returns a `mechsearch.types.Policy`.
 
     Raises:
@@ -80,13 +81,16 @@ def make_policy(spec: str) -> Policy:
     teachers = make_teachers()
     if spec.removeprefix("teacher-") in teachers and spec.startswith("teacher-"):
         return teachers[spec.removeprefix("teacher-")]
+    if spec in SHIPPED:
+        return _trained(shipped_file(spec))
     if _is_file_of_run(spec):
         return _trained(Path(spec))
     module, colon, name = spec.partition(":")
     if colon and all(part.isidentifier() for part in (*module.split("."), name)):
         return _checked(_found(spec)(), spec)
+    known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED))
     raise MechSearchError(
-        f"unknown policy {spec!r}; choose one of {', '.join(policy_names())}, {LOOK_AHEAD}, a run "
+        f"unknown policy {spec!r}; choose one of {known}, a run "
         "directory, an actor's file (.safetensors), or package.module:factory"
     )
 
@@ -94,9 +98,13 @@ def make_policy(spec: str) -> Policy:
 def run_config(spec: str) -> Mapping[str, Any]:
     """Return the configuration of the run that a policy comes from; empty for others.
 
+    A shipped policy goes by the name that it has on the command line.
+
     Raises:
         MechSearchError: If the configuration is damaged.
     """
+    if spec in SHIPPED:
+        return {**card(spec)["config"], "name": spec}
     if not _is_file_of_run(spec):
         return {}
     path = Path(spec)

@@ -1,7 +1,7 @@
 """The state of a run that learns pushes: its samples, its policy, its generators and counters."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,8 @@ class PushSession:
         self.policy = self._policy((), Ahead())
 
     def _policy(self, networks: Sequence[PushValue], ahead: Ahead) -> PushPolicy:
-        config = self.config.pushes.policy
+        camera, size = self.config.camera, self.config.image_size
+        config = replace(self.config.pushes.policy, camera=camera, image_size=size)
         return PushPolicy(networks, ahead, config, self.counts["executed"])
 
     def episode(self) -> EpisodeOfPushes:
