@@ -66,8 +66,9 @@ def make_policy(spec: str) -> Policy:
     Args:
         spec: "random", "idle", "teacher-straight", "teacher-zigzag", "teacher-spiral" or
             "look-ahead"; "single" or "dual", the trained policies that are shipped; a run
-            directory, whose last actor is meant, or one actor's file (.safetensors); or `package.module:factory`, a function without arguments, or a class,
-            that returns a `mechsearch.types.Policy`.
+            directory, whose last policy is meant, or one policy's file (.safetensors); or
+            `package.module:factory`, a function without arguments, or a class, that returns a
+            `mechsearch.types.Policy`.
 
     Raises:
         MechSearchError: If there is no such policy, or it cannot be made.
