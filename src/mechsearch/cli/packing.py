@@ -1,0 +1,84 @@
+"""`mechsearch pack`."""
+
+import hashlib
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from mechsearch.agent.trained import load_policy, save_policy
+from mechsearch.cli.command import Command, wrote
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.summary import rows_of
+from mechsearch.runs import check_place, read_lines, read_record, write_json
+from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.train.log import METRICS_FILE
+from mechsearch.train.trial import INPUTS_FILE
+from mechsearch.types import MechSearchError
+
+
+@dataclass(frozen=True)
+class Pack(Command):
+    """Pack a run's policy for others: its weights, and a card of its data, settings and scores.
+
+    Attributes:
+        run_directory: What `mechsearch train` wrote.
+        scores: What `mechsearch evaluate` recorded of it (.npz).
+        out: Weights to write (.safetensors); the card comes beside them (.json).
+    """
+
+    run_directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    scores: Path
+    out: Path
+
+    def run(self) -> None:
+        """Write both files."""
+        if self.out.suffix != ".safetensors":
+            raise MechSearchError(f"weights are written to a .safetensors file, not {self.out}")
+        check_place(self.out)
+        policy = load_policy(self.run_directory)
+        evaluation = episodes.load(self.scores)
+        card = self._card(evaluation, policy.training_actions)
+        save_policy(policy, self.out)
+        weights = hashlib.sha256(self.out.read_bytes()).hexdigest()
+        write_json(self.out.with_suffix(".json"), {"sha256": weights, **card})
+        wrote(self.out)
+
+    def _card(self, evaluation: Evaluation, actions: int) -> dict[str, Any]:
+        config = read_record(self.run_directory / CONFIG_FILE, "training configuration")
+        inputs = read_record(self.run_directory / INPUTS_FILE, "record of a run's inputs")
+        header = evaluation.header
+        told = {
+            "name": config["name"],
+            "training_seed": config["seed"],
+            "training_actions": actions,
+        }
+        wrong = [name for name, value in told.items() if header[name] != value]
+        if wrong:
+            raise MechSearchError(
+                f"{self.scores} are of another policy than {self.run_directory}: {wrong[0]} is "
+                f"{header[wrong[0]]!r}, not {told[wrong[0]]!r}"
+            )
+        return {
+            "version": version("mechsearch"),
+            "variant": config["name"],
+            "seed": config["seed"],
+            "trained_on": {"heap_set": inputs["heap_set"], "condition": header["condition"]},
+            "executed_actions": actions,
+            "simulated_actions": _simulated(self.run_directory),
+            "config": config,
+            "scored_on": {name: header[name] for name in ("heap_set", "split", "heaps", "seed")},
+            "scores": {
+                row.metric: [row.mean, row.ci_low, row.ci_high]
+                for row in rows_of("card", evaluation)
+            },
+        }
+
+
+def _simulated(run: Path) -> int:
+    """Return how many actions a run tried beside those that it executed."""
+    lines = list(read_lines(run / METRICS_FILE)) if (run / METRICS_FILE).exists() else []
+    return max((int(line.get("simulated", 0)) for line in lines), default=0)

@@ -1,0 +1,42 @@
+import hashlib
+import importlib.util
+
+import numpy as np
+import pytest
+
+from mechsearch.env.register import embedded_heaps, make_env
+from mechsearch.evaluation.policies import make_policy, run_config
+from mechsearch.evaluation.rollout import run_episode
+from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
+from mechsearch.types import MechSearchError
+
+needs_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="trained policies need mechsearch[learn]"
+)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_card_is_that_of_the_weights_beside_it(name):
+    told = card(name)
+    assert told["sha256"] == hashlib.sha256(shipped_file(name).read_bytes()).hexdigest()
+    assert told["trained_on"]["condition"] == name
+    assert told["scored_on"]["split"] == "held-out"
+    mean, low, high = told["scores"]["reward"]
+    assert low < mean < high
+    assert shipped_file(name).stat().st_size < 5e6
+
+
+@needs_torch
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
+    policy, heaps = make_policy(name), embedded_heaps(name)
+    held_out = [i for i, heap in enumerate(heaps.heaps) if heap.held_out]
+    env = make_env(name, split="all")
+    record = run_episode(policy, env, held_out[0], name=name)
+    assert np.abs(record.actions).max() > 0.5
+    assert run_config(name)["name"] == name
+
+
+def test_no_other_policy_is_shipped():
+    with pytest.raises(MechSearchError, match="choose one of single, dual"):
+        shipped_file("triple")
