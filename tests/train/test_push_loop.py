@@ -124,6 +124,32 @@ def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, make_parts,
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+def test_a_run_that_is_made_longer_is_the_run_that_was_longer_from_the_start(
+    plus, make_parts, tmp_path
+):
+    learn_pushes(plus, make_parts(), tmp_path / "long")
+    learn_pushes(replace(plus, actions=40), make_parts(), tmp_path / "short")
+    assert [fit["step"] for fit in lines(tmp_path / "short", "fit")] == [20, 40]
+    learn_pushes(plus, make_parts(), tmp_path / "short", resume=True)
+
+    def files(run):
+        kept = (
+            path for path in run.rglob("*") if path.is_file() and "tensorboard" not in str(path)
+        )
+        return {str(path.relative_to(run)): path.read_bytes() for path in kept}
+
+    longer = files(tmp_path / "short")
+    assert f"pushes/{len(lines(tmp_path / 'long', 'episode')) - 1:06d}.safetensors" in longer
+    assert longer == files(tmp_path / "long")
+
+
+def test_an_episode_over_several_fits_leaves_none_out(plus, make_parts, tmp_path):
+    often = replace(plus, actions=12, evaluate_every=4)
+    learn_pushes(often, make_parts(), tmp_path)
+    assert [fit["step"] for fit in lines(tmp_path, "fit")] == [4, 8, 12]
+    assert [score["step"] for score in lines(tmp_path, "validation")] == [4, 8, 12]
+
+
 def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
     explorer = replace(plus, pushes=replace(plus.pushes, explore=0.0, ranked=1.0))
     session = PushSession(explorer, make_env(), range(2))
