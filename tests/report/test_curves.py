@@ -66,14 +66,7 @@ def test_a_run_that_logged_nothing_has_no_curves(tmp_path: Path) -> None:
 def push_run(folder: Path, fits: int) -> curves.Run:
     (folder / "config.json").write_text('{"name": "plus"}')
     lines: list[dict[str, object]] = [
-        {
-            "step": 20,
-            "kind": "episode",
-            "executed": done,
-            "return": -done,
-            "pushes": 3,
-            "end": "lost",
-        }
+        {"step": 20, "kind": "episode", "executed": done, "return": -done, "pushes": 3}
         for done in (8, 21)
     ]
     found = {"loss": 0.5, "pushes": 60, "at_once": -6.0, "by_occlusion": 5.0, "executed": 21}
