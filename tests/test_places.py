@@ -23,6 +23,10 @@ HEAPS = str(resources.files("mechsearch.heaps") / "household_single.parquet")
 COMMANDS = {
     "heaps generate": ["--heaps", "4", "--counts", "4", "--workers", "1", "--out", "OUT/h.parquet"],
     "train": ["debug", "--heaps", HEAPS, "--actions", "9", "--out", "OUT"],
+    "train plus": [
+        *("--heaps", HEAPS, "--actions", "9", "--evaluate-every", "9", "--validation-heaps", "2"),
+        *("--out", "OUT"),
+    ],
     "evaluate": ["idle", "--heaps", HEAPS, "--limit", "1", "--workers", "1", "--out", "OUT"],
     "grasp label": [
         *("--heaps", HEAPS, "--limit", "1", "--per-object", "1", "--workers", "1"),

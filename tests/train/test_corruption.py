@@ -14,9 +14,13 @@ import torch
 from mechsearch import runs
 from mechsearch.agent import weights
 from mechsearch.agent.policy import load_actor
-from mechsearch.agent.push_policy import PushPolicy, PushPolicyConfig
+from mechsearch.agent.push_policy import (
+    PushPolicy,
+    PushPolicyConfig,
+    load_push_policy,
+    save_push_policy,
+)
 from mechsearch.agent.push_value import Ahead, PushSamples, PushValue, PushValueConfig
-from mechsearch.agent.trained import load_policy, save_policy
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.experiments.folder import SweepFolder
@@ -167,8 +171,8 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         ),
         "push policy": Kind(
             "plus.safetensors",
-            lambda f: save_policy(plus, f / "plus.safetensors"),
-            lambda f: load_policy(f / "plus.safetensors").networks,
+            lambda f: save_push_policy(plus, f / "plus.safetensors"),
+            lambda f: load_push_policy(f / "plus.safetensors").networks,
             archive_format,
         ),
         "labelled grasps": Kind(
