@@ -76,8 +76,6 @@ def kill_sweep(kills: int) -> dict[str, Any]:
         "curve-heaps": 2,
         "curve-every": 20,
         "final-heaps": 3,
-        "demonstrations": 3,
-        "imitation-updates": 8,
         "grasps": False,
         "workers": 2,
     }

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mechsearch.agent.policy import load_actor
+from mechsearch.agent.trained import load_policy
 from mechsearch.evaluation import episodes, summary
 from mechsearch.grasp.image_file import read_view
 from mechsearch.grasp.network import load_network
@@ -23,6 +24,7 @@ from mechsearch.objects.masses import read_masses
 from mechsearch.objects.mesh_file import read_pieces
 from mechsearch.runs import read_json
 from mechsearch.train.config import TrainConfig, load_config
+from mechsearch.train.push_session import load_episode
 from mechsearch.types import MechSearchError
 
 READERS = {
@@ -30,6 +32,8 @@ READERS = {
     "episodes.npz": episodes.load,
     "config.json": load_config,
     "actor.safetensors": load_actor,
+    "plus.safetensors": load_policy,
+    "pushes.safetensors": load_episode,
     "grasp.safetensors": load_network,
     "grasp.npz": load_network,
     "masses.csv": read_masses,
@@ -106,7 +110,7 @@ def test_json_of_any_shape_is_a_configuration_or_refused(value, tmp_path):
 @MANY
 @given(
     name=st.sampled_from([*TrainConfig.__dataclass_fields__]),
-    inner=st.sampled_from(["", "gamma", "network", "hidden", "sigma", "updates", "cloner"]),
+    inner=st.sampled_from(["", "gamma", "network", "hidden", "sigma", "networks", "value"]),
     value=json_values,
 )
 def test_a_configuration_with_any_field_replaced_is_one_or_is_refused(name, inner, value, tmp_path):
@@ -178,7 +182,7 @@ def test_a_table_of_other_rows_is_no_heap_set(manifest, poses, drop, tmp_path):
 @given(meta=json_values)
 def test_weights_of_another_origin_are_refused(meta, tmp_path):
     header = {"mechsearch": json.dumps(meta)}
-    for name in ("actor.safetensors", "grasp.safetensors"):
+    for name in (name for name in READERS if name.endswith(".safetensors")):
         safetensors.numpy.save_file({"x": np.zeros(2, np.float32)}, tmp_path / name, header)
         assert answered(READERS[name], tmp_path / name) is None
 

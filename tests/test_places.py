@@ -22,8 +22,11 @@ HEAPS = str(resources.files("mechsearch.heaps") / "household_single.parquet")
 
 COMMANDS = {
     "heaps generate": ["--heaps", "4", "--counts", "4", "--workers", "1", "--out", "OUT/h.parquet"],
-    "demonstrate": ["--heaps", HEAPS, "--count", "1", "--workers", "1", "--out", "OUT"],
     "train": ["debug", "--heaps", HEAPS, "--actions", "9", "--out", "OUT"],
+    "train plus": [
+        *("--heaps", HEAPS, "--actions", "9", "--evaluate-every", "9", "--validation-heaps", "2"),
+        *("--out", "OUT"),
+    ],
     "evaluate": ["idle", "--heaps", HEAPS, "--limit", "1", "--workers", "1", "--out", "OUT"],
     "grasp label": [
         *("--heaps", HEAPS, "--limit", "1", "--per-object", "1", "--workers", "1"),
@@ -202,7 +205,7 @@ with ExitStack() as stack:
 def held(tmp_path: Path) -> Iterator[Path]:
     """A place where another process is at work in every way."""
     place = tmp_path / "out"
-    names = ("h.parquet", "heaps-0-1", "run", "grasps", "sweep", "training")
+    names = ("h.parquet", "run", "grasps", "sweep", "training")
     words = [sys.executable, "-c", HOLDER, *(str(place / name) for name in names)]
     holder = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None

@@ -4,7 +4,6 @@ import torch
 
 from mechsearch.agent.networks import Actor, NetworkConfig
 from mechsearch.agent.policy import ActorPolicy, load_actor, save_actor
-from mechsearch.agent.symmetry import SYMMETRIES
 from mechsearch.types import ACTOR_KEYS, MechSearchError, Policy
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}
@@ -47,19 +46,6 @@ def test_a_saved_actor_acts_as_before(actor, obs, tmp_path):
         np.testing.assert_array_equal(loaded.act(obs), ActorPolicy(actor).act(obs))
         assert loaded.training_actions == 8000
         assert loaded.actor.config == actor.config
-
-
-def test_a_symmetric_policy_turns_with_the_scene(actor, obs, tmp_path):
-    policy = ActorPolicy(actor, symmetric=True)
-    batch = {key: torch.as_tensor(value)[None] for key, value in obs.items()}
-    answer = torch.as_tensor(policy.act(obs))
-    for symmetry in SYMMETRIES:
-        turned = {key: symmetry.of(key, value)[0].numpy() for key, value in batch.items()}
-        expected = symmetry.of_vectors(answer)
-        torch.testing.assert_close(torch.as_tensor(policy.act(turned)), expected)
-        torch.testing.assert_close(symmetry.undone(expected), answer)
-    save_actor(policy, tmp_path / "actor.safetensors")
-    assert load_actor(tmp_path).symmetric
 
 
 def test_an_observation_of_another_shape_is_refused(actor, obs):

@@ -6,7 +6,7 @@ import pytest
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.register import embedded_heaps
-from mechsearch.evaluation.look_ahead import LookAheadConfig, LookAheadPolicy, Planner
+from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig, LookAheadPolicy, Planner
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
 from mechsearch.heaps.dataset import save
@@ -34,6 +34,45 @@ def test_the_episode_is_the_plan_and_the_world_is_where_it_was(covered, boxes) -
     np.testing.assert_array_equal(first.actions, again.actions)
     np.testing.assert_array_equal(first.poses[0], covered.poses)
     assert policy.simulated_actions > len(first.actions)
+
+
+@pytest.fixture
+def env(covered, boxes) -> HeapEnv:
+    env = HeapEnv([covered], boxes, HeapEnvConfig(privileged=True))
+    env.reset(options={"heap": 0, "fixed_start": True})
+    return env
+
+
+def test_the_plan_is_at_least_as_good_as_every_teachers_push_it_tried(env, covered, boxes) -> None:
+    snapshot = env.snapshot()
+    config = LookAheadConfig(directions=4, gentleness=0.0, tolerance=0.0)
+    plan = LookAhead([covered], boxes, env.config, config).plan(snapshot, 0)
+    env.restore(snapshot)
+    planned = sum(env.step(action)[1] for action in plan.actions)
+    assert env.state.occlusion <= 0.02
+    tried = 0
+    for i in range(4):
+        for teacher in make_teachers(np.pi / 2 * i).values():
+            teacher.reset(np.random.default_rng([0, i]))
+            obs, total, over = env.restore(snapshot), 0.0, False
+            while not over:
+                obs, reward, terminated, truncated, info = env.step(teacher.act(obs))
+                total, over, tried = total + reward, terminated or truncated, tried + 1
+            assert planned >= total - 1e-9 or info["end"] != "uncovered"
+    assert len(plan.actions) < plan.simulated_actions <= tried
+
+
+def test_among_equals_the_push_that_sets_out_for_the_target_is_taken(env, covered, boxes) -> None:
+    snapshot = env.snapshot()
+    obs = env.restore(snapshot)
+
+    def directness(tolerance: float) -> float:
+        config = LookAheadConfig(tolerance=tolerance, margin=1e9)
+        plan = LookAhead([covered], boxes, env.config, config).plan(snapshot, 0)
+        return float(plan.actions[0] @ obs["target_offset"])
+
+    assert directness(10.0) >= directness(1.0) >= directness(0.0)
+    assert directness(10.0) > directness(0.0)
 
 
 def test_it_is_no_worse_than_the_pushes_it_tries(covered, boxes) -> None:

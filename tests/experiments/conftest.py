@@ -21,7 +21,5 @@ def tiny():
         curve_heaps=2,
         curve_every=20,
         final_heaps=3,
-        demonstrations=3,
-        imitation_updates=8,
         grasps=False,
     )

@@ -87,6 +87,7 @@ def test_curves_begin_with_the_untrained_actor_and_have_intervals_over_heaps(who
     cells = [line.split(",") for line in lines]
     rewards = [c for c in cells if c[1] == "method" and c[4] == "reward"]
     assert [int(c[3]) for c in rewards] == [0, 20, 40, 60]
+    assert [int(c[3]) for c in cells if c[1] == "plus" and c[4] == "reward"] == [0, 20, 40, 60]
     assert all(float(c[6]) <= float(c[5]) <= float(c[7]) for c in rewards)
     assert {c[8] for c in cells} == {"2"}
     assert {c[1] for c in cells} == {"method", "plus"}
@@ -145,9 +146,10 @@ def test_a_killed_sweep_goes_on_and_gives_the_same_bytes(whole, tiny, tmp_path):
     assert set(states(status).values()) == {DONE}
     for name in TABLES:
         assert (path / name).read_bytes() == (whole[0] / name).read_bytes(), name
-    for name in ("metrics.jsonl", "actor.safetensors"):
-        run = Path("single/runs/method-seed0") / name
-        assert (path / run).read_bytes() == (whole[0] / run).read_bytes(), name
+    for run in ("method-seed0", "plus-seed0"):
+        for name in ("metrics.jsonl", "actor.safetensors"):
+            file = Path("single/runs") / run / name
+            assert (path / file).read_bytes() == (whole[0] / file).read_bytes(), file
 
 
 def test_another_plan_on_the_same_folder_is_refused_and_told_apart(few, tmp_path):

@@ -33,8 +33,23 @@ def test_runs_differ_from_their_presets_in_what_is_watched_alone():
     assert (run.seed, run.actions, run.held_out_heaps, run.validation_heaps) == (3, 8000, 50, 0)
     same = {"seed": 0, "held_out_heaps": 0, "validation_heaps": preset.validation_heaps}
     assert replace(run, **same) == preset
-    imitation = plan.config("plus", 0)
-    assert (imitation.actions, imitation.imitation.executed_actions) == (0, 8000)
+    assert plan.config("plus", 0) == replace(
+        preset_config("plus"), held_out_heaps=50, validation_heaps=0
+    )
+
+
+@pytest.mark.parametrize("plan", [SweepPlan(), QUICK])
+def test_every_planned_run_can_be_made_longer_point_by_point_of_its_curve(plan):
+    for variant in plan.variants:
+        config = plan.config(variant, plan.seeds[0])
+        assert config.actions % config.evaluate_every == 0
+        longer = replace(config, actions=config.actions + plan.curve_every)
+        assert replace(longer, actions=config.actions) == config
+
+
+def test_runs_without_pushes_may_have_any_number_of_actions():
+    plan = replace(SweepPlan(), variants=("method",), actions=7500)
+    assert plan.config("method", 0).actions == 7500
 
 
 def test_what_others_wait_for_comes_first_and_runs_come_seed_by_seed():
@@ -46,10 +61,9 @@ def test_what_others_wait_for_comes_first_and_runs_come_seed_by_seed():
         tried |= set(wave)
         done |= set(waves[-1])
     assert waves[0] == ["single/heaps", "dual/heaps"]
-    assert all("demonstrations" in name for name in waves[1])
-    runs = [name.split("-seed")[1] for name in waves[2] if "-seed" in name]
+    runs = [name.split("-seed")[1] for name in waves[1] if "-seed" in name]
     assert runs == sorted(runs)
-    assert len(waves) == 3
+    assert len(waves) == 2
     assert set().union(*waves) == set(names(chains))
 
 
@@ -72,6 +86,8 @@ def test_what_failed_is_not_waited_for_for_ever():
         ({"seeds": ()}, "no seed is named"),
         ({"conditions": ()}, "no condition is named"),
         ({"actions": 0}, "actions is 0; expected at least 1"),
+        ({"actions": 7500}, "plus fits its networks every 1000 actions .* actions is 7500"),
+        ({"curve_every": 300}, "plus fits its networks every 300 actions"),
     ],
 )
 def test_bad_plans_are_refused(changes, message):
@@ -83,7 +99,7 @@ def test_bad_plans_are_refused(changes, message):
     ("changes", "message"),
     [
         ({"final_heaps": 31}, "final_heaps is 31, but .* has 30 held-out heaps"),
-        ({"demonstrations": 31}, "demonstrations is 31, but .* has 30 training heaps"),
+        ({"curve_heaps": 31}, "curve_heaps is 31, but .* has 30 held-out heaps"),
         ({"conditions": ("dual",), "swap": True}, "holds single heaps; expected dual ones"),
         ({"heaps_single": "absent.parquet"}, "no heap set at absent.parquet"),
     ],
@@ -108,7 +124,7 @@ def test_a_plan_is_read_as_it_was_written_and_heaps_may_move(tiny, tmp_path):
 
 def test_the_quick_plan_is_smaller_in_everything():
     paper = SweepPlan()
-    for name in ("actions", "curve_heaps", "final_heaps", "demonstrations", "imitation_updates"):
+    for name in ("actions", "curve_heaps", "final_heaps"):
         assert getattr(QUICK, name) < getattr(paper, name)
     assert set(QUICK.variants) < set(paper.variants)
     assert set(QUICK.seeds) < set(paper.seeds)

@@ -155,6 +155,10 @@ def write_sweep(make_evaluation) -> Callable[..., Path]:
             score = {"reward": gain * step / 8000, "visibility_change": gain * step / 10000}
             score |= {"episode_actions": 50 - gain * step / 1000}
             lines.append({"step": step, "kind": "held_out", **score})
+        if name == "plus":
+            lines.append(
+                {"step": 8000, "kind": "fit", "executed": 8000, "simulated": 90_000 + seed}
+            )
         text = "".join(json.dumps(line) + "\n" for line in lines)
         (folder / "metrics.jsonl").write_text(text)
 

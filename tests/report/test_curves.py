@@ -63,11 +63,35 @@ def test_a_run_that_logged_nothing_has_no_curves(tmp_path: Path) -> None:
     assert curves.draw_training(run) is None
 
 
-def test_losses_of_imitation_are_drawn(tmp_path: Path) -> None:
-    (tmp_path / "config.json").write_text('{"name": "plus"}')
-    line = {"step": 1, "kind": "imitation", "loss": 0.5, "gradient": 2.0}
-    (tmp_path / "metrics.jsonl").write_text(json.dumps(line) + "\n")
-    assert curves.draw_training(curves.read_run(tmp_path)) is not None
+def push_run(folder: Path, fits: int) -> curves.Run:
+    (folder / "config.json").write_text('{"name": "plus"}')
+    lines: list[dict[str, object]] = [
+        {"step": 20, "kind": "episode", "executed": done, "return": -done, "pushes": 3}
+        for done in (8, 21)
+    ]
+    found = {"loss": 0.5, "pushes": 60, "at_once": -6.0, "by_occlusion": 5.0, "executed": 21}
+    lines += [{"step": 20, "kind": "fit", **found, "simulated": 250}] * fits
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return curves.read_run(folder)
+
+
+def test_pushes_are_drawn_over_what_was_executed_and_fits_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+    monkeypatch.setattr(curves, "to_svg", drawn.append)
+    curves.draw_training(push_run(tmp_path, fits=1))
+    panels = {ax.get_title(loc="left"): ax.lines for ax in drawn[0].axes}
+    assert len(panels) == 6
+    (returns,) = panels["return of each episode"]
+    np.testing.assert_array_equal(returns.get_xdata(), [8, 21])
+    np.testing.assert_array_equal(returns.get_ydata(), [-8, -14.5])
+    counted = {line.get_label(): list(line.get_ydata()) for line in panels["actions"]}
+    assert counted == {"executed": [21], "simulated": [250]}
+
+
+def test_pushes_are_drawn_before_the_first_fit_too(tmp_path: Path) -> None:
+    assert curves.draw_training(push_run(tmp_path, fits=0)) is not None
 
 
 def test_a_folder_without_a_run_and_a_damaged_log_are_refused(tmp_path: Path) -> None:

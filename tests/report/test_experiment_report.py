@@ -88,6 +88,7 @@ def test_how_each_policy_came_about_is_one_row(sweep: Path) -> None:
     rows = {row[0]: row[1:] for row in made_grid(single).table.rows}
     assert list(rows) == list(single.trials)
     assert rows["method"][:5] == ("0, 1, 2", "8,000", "none", "30", "none")
+    assert rows["plus"][:3] == ("0, 1, 2", "8,000", "90,000 to 90,002")
     assert rows["idle"][:2] == ("0", "none")
 
 

@@ -15,9 +15,9 @@ def experiment(sweep: Path) -> Experiment:
     return read_experiment(sweep)
 
 
-def run(seed: int, rewards: dict[int, float], **more: list[dict[str, float]]) -> Run:
+def run(seed: int, rewards: dict[int, float]) -> Run:
     records = [{"step": step, "reward": reward} for step, reward in rewards.items()]
-    return Run("method", seed, {"held_out": records, **more})
+    return Run("method", seed, {"held_out": records})
 
 
 def test_a_curve_is_the_mean_over_seeds_at_the_steps_that_all_have() -> None:
@@ -39,9 +39,7 @@ def test_a_step_that_was_scored_again_counts_once_and_the_last_time() -> None:
     np.testing.assert_array_equal(found.seeds, [[1, 5]])
 
 
-def test_steps_of_imitation_are_no_actions_and_are_left_out() -> None:
-    imitating = run(0, {0: 1.0}, imitation=[{"step": 1, "loss": 1.0}])
-    assert learning.curve([imitating], "reward", "held_out") is None
+def test_without_runs_there_is_no_curve() -> None:
     assert learning.curve([], "reward", "held_out") is None
 
 

@@ -14,6 +14,13 @@ import torch
 from mechsearch import runs
 from mechsearch.agent import weights
 from mechsearch.agent.policy import load_actor
+from mechsearch.agent.push_policy import (
+    PushPolicy,
+    PushPolicyConfig,
+    load_push_policy,
+    save_push_policy,
+)
+from mechsearch.agent.push_value import Ahead, PushSamples, PushValue, PushValueConfig
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.experiments.folder import SweepFolder
@@ -24,12 +31,13 @@ from mechsearch.grasp.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.archive import model_from_npz, model_to_npz
+from mechsearch.pushes import NUMBERS, PATCH
 from mechsearch.report.curves import read_run
-from mechsearch.train import checkpoint, demonstrations
+from mechsearch.train import checkpoint
 from mechsearch.train.checkpoint import RunDirectory
 from mechsearch.train.config import load_config
-from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
 from mechsearch.train.loop import train
+from mechsearch.train.push_session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.train.trial import TrialInputs
 from mechsearch.types import MechSearchError
 
@@ -93,13 +101,12 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         np.arange(3),
         np.array(["cup", "box", "cup"]),
     )
-    shown = Demonstration(
-        {"depth": rng.normal(size=(4, 1, 8, 8)).astype(np.float16)},
-        rng.uniform(-1, 1, (4, 3)).astype(np.float32),
-        9,
-        4,
-        -1.5,
+    samples = PushSamples(
+        torch.rand(5, *PATCH).half(), torch.rand(5, NUMBERS), torch.rand(5), torch.rand(5, 5)
     )
+    pushes = EpisodeOfPushes(samples, torch.rand(2, 2), {"heap": 3, "end": "uncovered"})
+    values = [PushValue(PushValueConfig(filters=4, hidden=(8, 4))) for _ in range(2)]
+    plus = PushPolicy(values, Ahead(), PushPolicyConfig(12), 60)
     episode = EpisodeRecord(
         *(7, 2, "single", "idle", ("cup", "box"), 0),
         *(np.zeros((3, 3), np.float32), rng.normal(size=(4, 3)), rng.uniform(size=4)),
@@ -107,15 +114,9 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         *("uncovered", 50),
     )
     manifest = {"format": dataset.FORMAT, "config": {"objects": "boxes", "camera": "overhead"}}
-    inputs = {"heaps": "a.parquet", "heap_set": "ab12", "objects": "ycb", "demonstrations": None}
-
+    inputs = {"heaps": "a.parquet", "heap_set": "ab12", "objects": "ycb"}
     plan = json.loads(json.dumps({**asdict(QUICK), "version": "1.0"}))
     over = "record of a finished run"
-
-    def write_demonstration(folder):
-        store = DemonstrationStore(folder)
-        store.open({"heap_set": "ab12", "seed": 3})
-        store.write("0-000001", shown)
 
     def write_journal(folder):
         journal = Journal(folder / "jobs.jsonl")
@@ -162,13 +163,17 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
             lambda f: model_from_npz(f / "plate.npz"),
             strict=False,
         ),
-        "demonstration": Kind(
-            "0-000001.npz", write_demonstration, lambda f: DemonstrationStore(f).read_all(),
-            strict=False,
+        "pushes of an episode": Kind(
+            "pushes/000003.safetensors",
+            lambda f: save_episode(pushes, f / "pushes/000003.safetensors"),
+            lambda f: load_episode(f / "pushes/000003.safetensors"),
+            archive_format,
         ),
-        "manifest of demonstrations": Kind(
-            "manifest.json", write_demonstration, lambda f: DemonstrationStore(f).read_all(),
-            (demonstrations, "FORMAT"),
+        "push policy": Kind(
+            "plus.safetensors",
+            lambda f: save_push_policy(plus, f / "plus.safetensors"),
+            lambda f: load_push_policy(f / "plus.safetensors").networks,
+            archive_format,
         ),
         "labelled grasps": Kind(
             "grasps-00000.npz",
@@ -208,7 +213,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
 
 KINDS = (
     *("heap set", "run configuration", "run inputs", "metrics", "checkpoint", "actor"),
-    *("episodes", "prepared object", "demonstration", "manifest of demonstrations"),
+    *("episodes", "prepared object", "pushes of an episode", "push policy"),
     *("labelled grasps", "manifest of labelled grasps", "grasp network", "plan of a sweep"),
     *("record of a finished run", "journal of a sweep"),
 )

@@ -1,15 +1,20 @@
+import errno
+import os
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
-from mechsearch.agent.policy import ACTOR_FILE
+from mechsearch.agent import weights
 from mechsearch.agent.push_policy import PushPolicyConfig
 from mechsearch.agent.push_value import PushValueConfig
 from mechsearch.agent.trained import load_policy
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.pushes import draw_pushes, look
+from mechsearch.report import curves
 from mechsearch.runs import read_lines
 from mechsearch.train.collector import Parts
 from mechsearch.train.config import PushLearningConfig, preset_config
@@ -19,7 +24,7 @@ from mechsearch.train.push_tries import Trials, carry_out
 from mechsearch.types import MechSearchError
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def plus():
     pushes = PushLearningConfig(
         networks=2,
@@ -30,7 +35,7 @@ def plus():
     return replace(preset_config("plus"), actions=60, evaluate_every=20, pushes=pushes)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def make_env(covered, boxes):
     def make():
         config = HeapEnvConfig(privileged=True, max_actions=20)
@@ -39,7 +44,7 @@ def make_env(covered, boxes):
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def make_parts(make_env):
     def make():
         def evaluate(policy):
@@ -49,6 +54,13 @@ def make_parts(make_env):
         return Parts(make_env(), range(2), {}, {"validation": evaluate})
 
     return make
+
+
+@pytest.fixture(scope="module")
+def whole(plus, make_parts, tmp_path_factory):
+    """A run that was never interrupted, and its last scores."""
+    run = tmp_path_factory.mktemp("plus") / "whole"
+    return run, learn_pushes(plus, make_parts(), run)
 
 
 def lines(run, kind):
@@ -81,47 +93,98 @@ def test_a_trial_is_not_cut_off_by_the_episodes_length_and_an_executed_push_is(m
     assert (cut.end, cut.actions, cut.outcome) == ("action limit", 1, None)
 
 
-def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(
-    plus, make_parts, tmp_path
-):
-    scores = learn_pushes(plus, make_parts(), tmp_path)
+def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(plus, whole):
+    run, scores = whole
     assert scores == {"networks": 2.0}
-    episodes, fits = lines(tmp_path, "episode"), lines(tmp_path, "fit")
+    episodes, fits = lines(run, "episode"), lines(run, "fit")
     assert 60 <= episodes[-1]["executed"] < 80
     assert episodes[-1]["executed"] == sum(record["actions"] for record in episodes)
     assert [fit["step"] for fit in fits] == [20, 40, 60]
     assert fits[-1]["simulated"] > fits[-1]["executed"]
     assert all(record["return"] <= -0.5 * record["actions"] + 25 for record in episodes)
-    policy = load_policy(tmp_path)
+    policy = load_policy(run)
     assert policy.training_actions == episodes[-1]["executed"]
     assert policy.networks[0].config == plus.pushes.value
 
 
-def test_everything_seen_is_kept_and_fitted(plus, make_parts, tmp_path):
-    learn_pushes(plus, make_parts(), tmp_path)
-    files = sorted((tmp_path / "pushes").iterdir())
-    kept = [load_episode(file) for file in files]
-    assert [e.summary["pushes"] for e in kept] == [r["pushes"] for r in lines(tmp_path, "episode")]
-    assert sum(len(e.samples) for e in kept) == lines(tmp_path, "fit")[-1]["pushes"]
+def test_everything_seen_is_kept_and_fitted(whole):
+    run, _ = whole
+    kept = [load_episode(file) for file in sorted((run / "pushes").iterdir())]
+    assert [e.summary["pushes"] for e in kept] == [r["pushes"] for r in lines(run, "episode")]
+    assert sum(len(e.samples) for e in kept) == lines(run, "fit")[-1]["pushes"]
 
 
-def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, make_parts, tmp_path):
+def test_the_log_has_whatever_a_report_draws_of_it(whole, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(curves, "to_svg", drawn.append)
+    run = curves.read_run(whole[0])
+    curves.draw_training(run)
+    assert [bool(ax.lines) for ax in drawn[0].axes] == [True] * 6
+    monkeypatch.undo()
+    assert curves.draw_evaluations([run]) is not None
+
+
+def files(run):
+    """Return everything in a run directory but what TensorBoard stamps with the time."""
+    kept = (path for path in run.rglob("*") if path.is_file() and path.parent.name != "tensorboard")
+    return {str(path.relative_to(run)): path.read_bytes() for path in kept}
+
+
+def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, whole, make_parts, tmp_path):
     class Killed(Exception):  # noqa: N818
         pass
 
-    learn_pushes(plus, make_parts(), tmp_path / "whole")
-    seen = []
-
     def kill(label, done, total):
-        seen.append(done)
         if done >= 30:
             raise Killed
 
     with pytest.raises(Killed):
-        learn_pushes(plus, make_parts(), tmp_path / "killed", progress=kill)
-    learn_pushes(plus, make_parts(), tmp_path / "killed", resume=True)
-    for name in ("metrics.jsonl", ACTOR_FILE):
-        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        learn_pushes(plus, make_parts(), tmp_path, progress=kill)
+    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+    assert files(tmp_path) == files(whole[0])
+
+
+def test_a_disk_that_is_full_is_told_by_the_episodes_file_and_costs_nothing(
+    plus, whole, make_parts, tmp_path, monkeypatch
+):
+    def full(tensors, path, header):
+        if path.parent.name == "pushes" and path.name.startswith(".000002."):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        save_file(tensors, path, header)
+
+    with monkeypatch.context() as disk:
+        disk.setattr(weights, "save_file", full)
+        with pytest.raises(MechSearchError, match=r"cannot write .*pushes/000002.*free some space"):
+            learn_pushes(plus, make_parts(), tmp_path)
+    assert not list(tmp_path.rglob("*.partial*"))
+    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+    assert files(tmp_path) == files(whole[0])
+
+
+def test_a_run_that_is_made_longer_is_the_run_that_was_longer_from_the_start(
+    plus, whole, make_parts, tmp_path
+):
+    learn_pushes(replace(plus, actions=40), make_parts(), tmp_path)
+    assert [fit["step"] for fit in lines(tmp_path, "fit")] == [20, 40]
+    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+    assert files(tmp_path) == files(whole[0])
+
+
+def test_an_episode_that_was_damaged_is_named_when_a_run_goes_on(plus, whole, make_parts, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "run")
+    file = tmp_path / "run" / "pushes" / "000001.safetensors"
+    content = bytearray(file.read_bytes())
+    content[-9] ^= 1
+    file.write_bytes(bytes(content))
+    with pytest.raises(MechSearchError, match=r"pushes/000001.safetensors is damaged"):
+        learn_pushes(replace(plus, actions=80), make_parts(), tmp_path / "run", resume=True)
+
+
+def test_an_episode_over_several_fits_leaves_none_out(plus, make_parts, tmp_path):
+    often = replace(plus, actions=12, evaluate_every=4)
+    learn_pushes(often, make_parts(), tmp_path)
+    assert [fit["step"] for fit in lines(tmp_path, "fit")] == [4, 8, 12]
+    assert [score["step"] for score in lines(tmp_path, "validation")] == [4, 8, 12]
 
 
 def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):

@@ -6,7 +6,7 @@ import pytest
 from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.train.config import (
     PRESETS,
-    ImitationConfig,
+    PushLearningConfig,
     TrainConfig,
     load_config,
     preset_config,
@@ -52,7 +52,10 @@ def test_no_actor_sees_privileged_keys():
         ({"teachers": ("push",)}, "unknown teacher 'push'; choose among straight"),
         ({"learner": LearnerConfig(dropout=0.0)}, "teachers need a Bayesian critic"),
         ({"actor_keys": ("target_offset",)}, "must not see 'target_offset'"),
-        ({"imitation": ImitationConfig(updates=5)}, "imitates or reinforces"),
+        (
+            {"pushes": PushLearningConfig(networks=1), "actions": 4500},
+            "fits its networks every 1000 actions .* actions is 4500; expected a multiple",
+        ),
         ({"camera": "tilted", "learner": LearnerConfig(symmetry=True)}, "overhead"),
         ({"threads": 0}, "threads is 0; expected at least 1"),
         ({"actions": -1}, "actions is -1"),
@@ -65,9 +68,17 @@ def test_contradictions_are_refused(changes, message):
         replace(TrainConfig(), **changes)
 
 
-def test_corrections_need_imitation():
-    with pytest.raises(MechSearchError, match="imitation first"):
-        ImitationConfig(updates=0, executed_actions=5)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"networks": -1}, "networks is -1; expected at least 0"),
+        ({"tries": 0}, "tries is 0; expected at least 1"),
+        ({"explore": 1.5}, r"explore is 1.5 and ranked 0.5; expected shares in \[0, 1\]"),
+    ],
+)
+def test_pushes_that_cannot_be_learnt_are_refused(changes, message):
+    with pytest.raises(MechSearchError, match=message):
+        PushLearningConfig(**changes)
 
 
 def test_an_unknown_variant_is_refused_with_the_valid_ones():

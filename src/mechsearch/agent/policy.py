@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from mechsearch.agent.networks import Actor, NetworkConfig
 from mechsearch.agent.records import record_from_json
-from mechsearch.agent.symmetry import SYMMETRIES, transform
 from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.types import MechSearchError, Observation, select
 
@@ -23,19 +21,16 @@ ACTOR_FILE = "actor.safetensors"
 class ActorPolicy:
     """An actor without noise; the same observation gives the same action."""
 
-    def __init__(self, actor: Actor, training_actions: int = 0, symmetric: bool = False) -> None:
+    def __init__(self, actor: Actor, training_actions: int = 0) -> None:
         """Keep a copy: training the original later does not change this policy.
 
         Args:
             actor: What acts.
             training_actions: Actions executed in its training, for the record.
-            symmetric: Ask the actor about all eight turned and mirrored views and average its
-                answers: an actor trained on random ones agrees with itself only roughly.
         """
         self.actor = copy.deepcopy(actor).eval()
         self.keys = actor.keys
         self.training_actions = training_actions
-        self.symmetric = symmetric
 
     def reset(self, rng: np.random.Generator) -> None:
         """Do nothing: the actor remembers nothing."""
@@ -55,20 +50,8 @@ class ActorPolicy:
                 )
             tensors[key] = torch.as_tensor(value)[None]
         with torch.inference_mode():
-            action = self._average(tensors) if self.symmetric else self.actor(tensors)[0]
-        result: NDArray[np.float32] = action.numpy()
+            result: NDArray[np.float32] = self.actor(tensors)[0].numpy()
         return result
-
-    def _average(self, tensors: dict[str, Tensor]) -> Tensor:
-        """Return the mean direction over all views, at the mean length."""
-        count = len(SYMMETRIES)
-        views = {key: value.expand(count, *value.shape[1:]) for key, value in tensors.items()}
-        answers = self.actor(transform(views, torch.arange(count)))
-        undone = torch.stack([s.undone(a) for s, a in zip(SYMMETRIES, answers, strict=True)])
-        mean = undone.mean(dim=0)
-        length = undone.norm(dim=1).mean()
-        action: Tensor = mean * (length / mean.norm().clamp_min(1e-6))
-        return action.clamp(-1, 1)
 
 
 def save_actor(policy: ActorPolicy, path: Path) -> None:
@@ -79,7 +62,6 @@ def save_actor(policy: ActorPolicy, path: Path) -> None:
         "shapes": [[key, list(shape)] for key, shape in actor.shapes.items()],
         "network": asdict(actor.config),
         "training_actions": policy.training_actions,
-        "symmetric": policy.symmetric,
     }
     save_archive(path, Archive(KIND, dict(actor.state_dict()), meta))
 
@@ -98,5 +80,4 @@ def load_actor(path: Path) -> ActorPolicy:
     shapes = {key: tuple(shape) for key, shape in archive.meta["shapes"]}
     actor = Actor(shapes, network)
     archive.fill(actor)
-    meta = archive.meta
-    return ActorPolicy(actor, int(meta["training_actions"]), bool(meta.get("symmetric", False)))
+    return ActorPolicy(actor, int(archive.meta["training_actions"]))

@@ -40,12 +40,6 @@ class Symmetry:
             x, y = y, x
         return torch.stack([-x if self.flip_x else x, -y if self.flip_y else y, z], -1)
 
-    def undone(self, vectors: Tensor) -> Tensor:
-        """Return vectors (..., 3) such that `of_vectors` gives back these."""
-        x, y, z = vectors.unbind(-1)
-        x, y = -x if self.flip_x else x, -y if self.flip_y else y
-        return torch.stack([y, x, z] if self.swap else [x, y, z], -1)
-
     def of_images(self, images: Tensor) -> Tensor:
         """Return images (..., H, H), their pixels moved; the values stay."""
         if self.swap:

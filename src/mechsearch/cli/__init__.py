@@ -32,7 +32,6 @@ COMMANDS = {
     "heaps generate": Entry("heaps:Generate", "drop objects into heaps, and keep the useful ones"),
     "heaps show": Entry("heaps:Show", "say what is in a heap set, and draw it"),
     "heaps verify": Entry("heaps:Verify", "restore every heap; prove its rest and its occlusion"),
-    "demonstrate": Entry("training:Demonstrate", "record a look-ahead expert", learns=True),
     "train": Entry("training:Train", "train an actor, or go on with a run", learns=True),
     "evaluate": Entry("evaluation:Evaluate", "score policies on heaps and record the episodes"),
     "sweep": Entry("sweeping:Sweep", "every experiment of the paper, by one command", learns=True),

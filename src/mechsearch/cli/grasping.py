@@ -21,6 +21,7 @@ from mechsearch.grasp.view import (
     check_opening,
     view_of_heap,
 )
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
@@ -232,8 +233,7 @@ def chosen_heaps(path: Path, objects: str, split: str, limit: int) -> tuple[Heap
         raise MechSearchError(
             f"{limit or 'all'} heaps asked for; {path} has {len(heaps)} {split} heaps"
         )
-    number = limit or len(heaps)
-    return heap_set, [heaps[i * len(heaps) // number] for i in range(number)]
+    return heap_set, [heaps[i] for i in evenly_spread(len(heaps), limit or len(heaps))]
 
 
 def _scored(heap: Heap, now: Graspability, alone: Graspability) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, load, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.heaps.heap import Heap
@@ -70,7 +71,7 @@ class Show(Command):
         say(describe(heap_set))
         if self.out:
             number = min(self.limit, len(heap_set.heaps))
-            chosen = [heap_set.heaps[i * len(heap_set.heaps) // number] for i in range(number)]
+            chosen = [heap_set.heaps[i] for i in evenly_spread(len(heap_set.heaps), number)]
             models = objects_of(heap_set, self.objects).models
             write_whole(self.out, heap_sheet(chosen, models, heap_set.camera).save)
             wrote(self.out)

@@ -144,12 +144,7 @@ def _files(sources: Sequence[Path]) -> list[Path]:
         for source in sources
         for path in ([source] if source.is_file() else sorted(source.rglob("*.npz")))
     ]
-    # A run directory may hold demonstrations, which are no evaluations.
-    return [path for path in dict.fromkeys(found) if not _in_run(path)]
-
-
-def _in_run(path: Path) -> bool:
-    return any((folder / curves.METRICS_FILE).exists() for folder in path.parents)
+    return list(dict.fromkeys(found))
 
 
 def _runs(sources: Sequence[Path]) -> list[Path]:

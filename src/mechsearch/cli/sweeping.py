@@ -44,10 +44,8 @@ class Sweep(Command):
         actions: Executed in each run.
         references: What is not trained: random, idle, the teachers, look-ahead.
         curve_heaps: Held-out heaps that curves are drawn on.
-        curve_every: Actions between two points of a curve.
+        curve_every: Actions between two points of a curve; with plus, its actions are a multiple.
         final_heaps: Held-out heaps of the final scores.
-        demonstrations: Heaps that are demonstrated for plus.
-        imitation_updates: Gradient steps on the demonstrations.
         grasps: Whether final episodes are measured by graspability and retrieval too.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
         workers: Jobs at a time, one process each.
@@ -69,8 +67,6 @@ class Sweep(Command):
     curve_heaps: int | None = None
     curve_every: int | None = None
     final_heaps: int | None = None
-    demonstrations: int | None = None
-    imitation_updates: int | None = None
     grasps: bool | None = None
     grasp_network: Path | None = None
     workers: int = WORKERS

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.runs import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.types import Array, Floats, MechSearchError
 
@@ -170,8 +171,7 @@ def load_some(path: Path, limit: int) -> Evaluation:
     count = len(evaluation.episodes)
     if not 0 <= limit <= count:
         raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
-    number = limit or count
-    chosen = tuple(evaluation.episodes[i * count // number] for i in range(number))
+    chosen = tuple(evaluation.episodes[i] for i in evenly_spread(count, limit or count))
     return Evaluation(evaluation.header, chosen)
 
 

@@ -1,7 +1,7 @@
-"""An expert that tries every teacher's push in the simulator and keeps the best.
+"""A ceiling: every teacher's push is tried in the simulator, and the best is carried out.
 
-It needs snapshots of the simulator, which no robot has: it shows how well pushes can do, and what
-to imitate. Its trial actions are simulated, not executed, and are counted apart.
+It needs snapshots of the simulator, which no robot has: it shows how well pushes can do. Its trial
+actions are simulated, not executed, and are counted apart.
 """
 
 from collections.abc import Sequence
@@ -24,18 +24,10 @@ class Plan:
 
     Attributes:
         actions: To the end of the episode (T, 3).
-        reward: Sum of rewards that they earned in the trial.
-        end: How the episode ended in the trial.
-        teacher: Whose push it is.
-        direction: Of its first push [rad].
         simulated_actions: Actions tried, over all pushes.
     """
 
     actions: NDArray[np.float32]
-    reward: float
-    end: str
-    teacher: str
-    direction: float
     simulated_actions: int
 
 
@@ -45,18 +37,15 @@ WITHOUT_SUCCESS = 100.0
 
 @dataclass(frozen=True)
 class Trial:
-    """One push that was tried; `Plan` explains the first five.
+    """One push that was tried.
 
     Attributes:
+        actions: As executed (T, 3).
         score: Reward less the cost of moving clutter; low without success.
         directness: Cosine between the first action and the way to the target.
     """
 
     actions: NDArray[np.float32]
-    reward: float
-    end: str
-    teacher: str
-    direction: float
     score: float
     directness: float
 
@@ -71,7 +60,7 @@ class LookAheadConfig:
         gentleness: What each metre that the mean non-target object moves costs a trial, beyond
             its reward.
         tolerance: Of the trials this close to the best score, the one that sets out most directly
-            for the target is taken: among equals, what an image can predict.
+            for the target is taken.
     """
 
     directions: int = 8
@@ -106,41 +95,32 @@ class LookAhead:
         best = -np.inf
         for i in range(self.config.directions):
             direction = 2 * np.pi * i / self.config.directions
-            for name, teacher in make_teachers(direction).items():
+            for teacher in make_teachers(direction).values():
                 teacher.reset(np.random.default_rng([seed, i]))
                 trials.append(self._try(snapshot, teacher, best - self.config.margin))
-                trials[-1] = replace(trials[-1], teacher=name, direction=direction)
                 best = max(best, trials[-1].score)
         near = [trial for trial in trials if trial.score >= best - self.config.tolerance]
         chosen = max(near, key=lambda trial: trial.directness)
-        return Plan(
-            chosen.actions,
-            chosen.reward,
-            chosen.end,
-            chosen.teacher,
-            chosen.direction,
-            sum(len(trial.actions) for trial in trials),
-        )
+        return Plan(chosen.actions, sum(len(trial.actions) for trial in trials))
 
     def _try(self, snapshot: dict[str, Array], teacher: Teacher, give_up: float) -> Trial:
         """Execute one push in the simulator; one whose score falls below `give_up` is cut short."""
         obs = self._env.restore(snapshot)
         towards = obs["target_offset"] / max(float(np.linalg.norm(obs["target_offset"])), 1e-6)
         actions: list[NDArray[np.float32]] = []
-        total = score = 0.0
+        score = 0.0
         end: str | None = None
         while end is None:
             action = teacher.act(select(obs, teacher.keys))
             obs, reward, _, _, info = self._env.step(action)
             actions.append(action)
-            total += reward
             score += reward - self.config.gentleness * info["clutter_moved"]
             end = "given up" if score < give_up else info["end"]
         if end != "uncovered":
             # No success: a failed simulation must not be chosen for the penalties it escaped.
             score -= WITHOUT_SUCCESS
         directness = float(actions[0] @ towards)
-        return Trial(np.array(actions, np.float32), total, end, "", 0.0, score, directness)
+        return Trial(np.array(actions, np.float32), score, directness)
 
 
 @runtime_checkable

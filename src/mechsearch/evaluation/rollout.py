@@ -16,6 +16,7 @@ from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.fingerprint import fingerprint
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.parallel import Mapper, Progress, map_in_order, silent
@@ -252,9 +253,7 @@ def _chosen(heap_set: HeapSet, plan: EvaluationPlan) -> tuple[int, ...]:
         raise MechSearchError(
             f"{plan.limit} heaps asked for; {plan.heaps} has {len(indices)} {plan.split} heaps"
         )
-    # Heaps are kept by object count, so an even spread has all counts alike.
-    number = plan.limit or len(indices)
-    return tuple(indices[i * len(indices) // number] for i in range(number))
+    return tuple(indices[i] for i in evenly_spread(len(indices), plan.limit or len(indices)))
 
 
 def _header(

@@ -42,10 +42,6 @@ class SweepFolder:
         """Return where a heap set is generated, if none was given."""
         return self.path / condition / "heaps.parquet"
 
-    def demonstrations(self, condition: str) -> Path:
-        """Return the folder of a condition's demonstrations."""
-        return self.path / condition / "demonstrations"
-
     def run(self, condition: str, variant: str, seed: int) -> Path:
         """Return a run directory."""
         return self.path / condition / "runs" / f"{variant}-seed{seed}"

@@ -46,10 +46,8 @@ class SweepPlan:
         actions: Executed in each run.
         references: Policies that are not trained.
         curve_heaps: Held-out heaps that curves are drawn on, the same for all runs.
-        curve_every: Actions (in imitation: updates) between two points of a curve.
+        curve_every: Actions between two points of a curve; `actions` of `plus` are a multiple.
         final_heaps: Held-out heaps of the final scores, the same for all policies.
-        demonstrations: Training heaps that the look-ahead expert demonstrates, for `plus`.
-        imitation_updates: Gradient steps on them, for `plus`.
         grasps: Whether final episodes are also measured by graspability and retrieval.
         grasp_network: File of the grasp network to do it with; empty takes the shipped one.
     """
@@ -68,8 +66,6 @@ class SweepPlan:
     curve_heaps: int = 50
     curve_every: int = 1000
     final_heaps: int = 300
-    demonstrations: int = 520
-    imitation_updates: int = 3000
     grasps: bool = True
     grasp_network: str = ""
 
@@ -83,9 +79,11 @@ class SweepPlan:
             raise MechSearchError(f"seeds are {self.seeds}; expected each once, none below 0")
         if self.variants and not self.seeds:
             raise MechSearchError("no seed is named; expected at least one for each variant")
-        for name in ("actions", "curve_heaps", "curve_every", "final_heaps", "demonstrations"):
+        for name in ("actions", "curve_heaps", "curve_every", "final_heaps"):
             if getattr(self, name) < 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
+        for variant in self.variants:
+            self.config(variant, 0)
 
     def heap_file(self, condition: str) -> str:
         """Return the heap set file that was given for a condition; empty if none was."""
@@ -98,26 +96,16 @@ class SweepPlan:
 
     def config(self, variant: str, seed: int) -> TrainConfig:
         """Return the configuration of one run."""
-        config = replace(
+        return replace(
             preset_config(variant),
             seed=seed,
+            actions=self.actions,
             evaluate_every=self.curve_every,
             checkpoint_every=min(self.curve_every, 1000),
             # Nothing is chosen by validation here, so all training heaps are learnt on.
             validation_heaps=0,
             held_out_heaps=self.curve_heaps,
         )
-        if not config.imitation.updates:
-            return replace(config, actions=self.actions)
-        imitation = replace(
-            config.imitation, updates=self.imitation_updates, executed_actions=self.actions
-        )
-        return replace(config, imitation=imitation)
-
-    @property
-    def imitators(self) -> tuple[str, ...]:
-        """The variants that need demonstrations."""
-        return tuple(v for v in self.variants if preset_config(v).imitation.updates)
 
 
 QUICK = SweepPlan(
@@ -131,8 +119,6 @@ QUICK = SweepPlan(
     curve_heaps=12,
     curve_every=300,
     final_heaps=24,
-    demonstrations=30,
-    imitation_updates=400,
     grasps=False,
 )
 """A small version of everything, in a quarter of an hour: too small to judge the method by."""
@@ -202,13 +188,13 @@ def _checked(plan: SweepPlan, condition: str) -> str:
     file = plan.heap_file(condition)
     if not file:
         object_set(plan.generated(condition).objects)
-        half = plan.generated(condition).heaps // 2
-        _check_sizes(plan, f"the {condition} heaps that are generated", half, half)
+        held_out = plan.generated(condition).heaps // 2
+        _check_sizes(plan, f"the {condition} heaps that are generated", held_out)
         return "generated"
     heap_set = load(Path(file))
     _check_condition(heap_set, condition, file)
     check_objects(heap_set, object_set(plan.objects or str(heap_set.manifest["config"]["objects"])))
-    _check_sizes(plan, file, len(heap_set.train), len(heap_set.held_out))
+    _check_sizes(plan, file, len(heap_set.held_out))
     return heap_set.hash
 
 
@@ -218,13 +204,9 @@ def _check_condition(heap_set: HeapSet, condition: str, file: str) -> None:
         raise MechSearchError(f"{file} holds {found} heaps; expected {condition} ones")
 
 
-def _check_sizes(plan: SweepPlan, file: str, training: int, held_out: int) -> None:
-    needed = {"final_heaps": held_out, "curve_heaps": held_out}
-    if plan.imitators:
-        needed["demonstrations"] = training
-    for name, there in needed.items():
-        if getattr(plan, name) > there:
-            kind = "training" if name == "demonstrations" else "held-out"
+def _check_sizes(plan: SweepPlan, file: str, held_out: int) -> None:
+    for name in ("final_heaps", "curve_heaps"):
+        if getattr(plan, name) > held_out:
             raise MechSearchError(
-                f"{name} is {getattr(plan, name)}, but {file} has {there} {kind} heaps"
+                f"{name} is {getattr(plan, name)}, but {file} has {held_out} held-out heaps"
             )

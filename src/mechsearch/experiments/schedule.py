@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE, Demonstrations, Heaps
+from mechsearch.experiments.preparation import Heaps
 from mechsearch.experiments.trials import Grasp, ReferenceScoring, RunScoring, Training
 
 Chain = tuple[Job, ...]
@@ -25,8 +25,6 @@ def chains_of(plan: SweepPlan, folder: SweepFolder, grasp: Grasp | None = None) 
     for condition in plan.conditions:
         for policy in plan.references:
             chains.append((ReferenceScoring(plan, folder, condition, grasp, policy),))
-        for first in range(0, plan.demonstrations if plan.imitators else 0, DEMONSTRATED_AT_ONCE):
-            chains.append((Demonstrations(plan, folder, condition, first),))
     for seed in plan.seeds:
         for variant in plan.variants:
             for condition in plan.conditions:

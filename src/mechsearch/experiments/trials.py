@@ -18,7 +18,6 @@ from mechsearch.experiments.curves import write_curves
 from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.experiments.preparation import DEMONSTRATED_AT_ONCE
 from mechsearch.runs import read_record, write_record
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import TrainConfig, load_config
@@ -49,26 +48,15 @@ class Training(Job):
 
     @property
     def kind(self) -> str:
-        """A run by reinforcement or by imitation."""
-        return "imitation runs" if self.variant in self.plan.imitators else "training runs"
-
-    @property
-    def after(self) -> tuple[str, ...]:
-        """The heaps, and for variants that imitate all demonstrations."""
-        if self.variant not in self.plan.imitators:
-            return super().after
-        chunks = range(0, self.plan.demonstrations, DEMONSTRATED_AT_ONCE)
-        shown = tuple(f"{self.condition}/demonstrations-{first:04d}" for first in chunks)
-        return (*super().after, *shown)
+        """A training run."""
+        return "training runs"
 
     @property
     def cost(self) -> float:
-        """Actions and updates, and the points of the curve."""
+        """Actions and updates, or pushes tried and fits; and the points of the curve."""
         points = 1 + self.plan.actions // self.plan.curve_every
-        learning = 0.065 * self.plan.actions
-        if self.variant in self.plan.imitators:
-            learning = 0.07 * self.plan.imitation_updates + 0.08 * self.plan.actions
-        return learning + 0.35 * self.plan.curve_heaps * points
+        action = 0.3 if self.config.pushes.networks else 0.065
+        return action * self.plan.actions + 0.35 * self.plan.curve_heaps * points
 
     @property
     def directory(self) -> Path:
@@ -128,9 +116,7 @@ class Training(Job):
 
     def carry_out(self) -> None:
         """Train, from the last checkpoint if there is one, and renew the table of curves."""
-        shown = self.folder.demonstrations(self.condition)
-        imitates = self.variant in self.plan.imitators
-        inputs = TrialInputs(self.heaps, self.plan.objects, shown if imitates else None)
+        inputs = TrialInputs(self.heaps, self.plan.objects)
         resume = (self.directory / CONFIG_FILE).exists()
         run_trial(self.config, inputs, self.directory, resume)
         done = {

@@ -25,6 +25,7 @@ from mechsearch.grasp.grasp_set import Grasps
 from mechsearch.grasp.grid import ANGLES
 from mechsearch.grasp.metrics import Verdict, judge
 from mechsearch.grasp.network import GraspNetwork, ready, save_network
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.parallel import Progress, silent
 from mechsearch.runs import alone
 from mechsearch.types import Array, MechSearchError
@@ -124,7 +125,7 @@ def split_by_heap(grasps: Grasps, share: float) -> tuple[Grasps, Grasps]:
     if len(heaps) < 2:
         raise MechSearchError(f"grasps of {len(heaps)} heap; expected at least 2")
     number = min(max(1, round(share * len(heaps))), len(heaps) - 1)
-    held = heaps[np.arange(number) * len(heaps) // number]
+    held = heaps[evenly_spread(len(heaps), number)]
     inside = np.isin(grasps.heap, held)
     return grasps.where(~inside), grasps.where(inside)
 

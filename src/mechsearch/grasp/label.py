@@ -17,6 +17,7 @@ from mechsearch.grasp.grasp_set import OUTCOMES, GraspFolder, Grasps, joined
 from mechsearch.grasp.grid import FIELD
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.grasp.view import GraspView, view_of_heap
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.parallel import Progress, map_in_order, silent
@@ -109,8 +110,7 @@ def _label_alone(
             f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} "
             "heaps"
         )
-    number = config.limit or len(heaps)
-    heaps = [heaps[i * len(heaps) // number] for i in range(number)]
+    heaps = [heaps[i] for i in evenly_spread(len(heaps), config.limit or len(heaps))]
     identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
     folder = GraspFolder(path, identity)
     starts = range(0, len(heaps), config.shard)

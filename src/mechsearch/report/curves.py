@@ -35,9 +35,9 @@ class Run:
     seed: int
     records: Mapping[str, Sequence[Mapping[str, Any]]]
 
-    def series(self, kind: str, key: str) -> tuple[Floats, Floats]:
-        """Return steps and values (n,) of one number in one kind of record."""
-        pairs = [(r["step"], r[key]) for r in self.records.get(kind, ()) if key in r]
+    def series(self, kind: str, key: str, over: str = "step") -> tuple[Floats, Floats]:
+        """Return steps, or another number, and values (n,) of one number in one kind of record."""
+        pairs = [(r[over], r[key]) for r in self.records.get(kind, ()) if key in r]
         steps, values = np.array(pairs, np.float64).reshape(-1, 2).T
         return steps, values
 
@@ -96,33 +96,64 @@ def draw_training(run: Run) -> str | None:
     """Return an SVG of what went on in training, or None if nothing was logged.
 
     Reinforcement: each episode's return, the critic's first Q against the return that followed,
-    the share of saturated actions, and who chose the actions, as running means. Imitation: its
-    losses.
+    the share of saturated actions, and who chose the actions. Pushes: each episode's return and its
+    number of pushes, and what each fit learnt from and found. Of episodes, running means.
     """
     if not run.records.get("episode"):
-        return _draw_losses(run)
+        return None
+    panels = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
     with style():
-        figure, axes = grid(4, 2, 4.8, 2.6)
-        choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
-        panels: list[tuple[str, list[str]]] = [
-            ("return of each episode", ["return"]),
-            ("Q at the start, and the return that followed", ["q_start", "return_start"]),
-            ("share of saturated actions", ["saturated"]),
-            ("who chose the actions", choices),
-        ]
-        for ax, (title, keys) in zip(axes, panels, strict=True):
-            for key, colour in zip(keys, COLOURS, strict=False):
-                steps, values = run.series("episode", key)
-                if len(steps):
-                    label = key.removeprefix("chosen_").replace("_", " ")
-                    ax.plot(steps, running_mean(values, _WINDOW), color=colour, label=label)
-            ax.set_title(title)
-            ax.set_xlabel("training action")
-            if title.startswith(("share", "who")):
-                ax.set_ylim(-0.02, 1.02)
-            if len(keys) > 1:
-                ax.legend(loc="best", fontsize=8)
+        figure, axes = grid(len(panels), 2, 4.8, 2.6)
+        for ax, panel in zip(axes, panels, strict=True):
+            _draw_panel(ax, run, panel)
         return to_svg(figure)
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """Some numbers of one kind of record, beside each other."""
+
+    title: str
+    kind: str
+    keys: Sequence[str]
+    over: str = "step"
+    shares: bool = False
+
+
+_PUSHES = (
+    _Panel("return of each episode", "episode", ["return"], "executed"),
+    _Panel("pushes in each episode", "episode", ["pushes"], "executed"),
+    _Panel("loss of each fit", "fit", ["loss"]),
+    _Panel("rewards to come: at once, less for occlusion", "fit", ["at_once", "by_occlusion"]),
+    _Panel("pushes learnt from", "fit", ["pushes"]),
+    _Panel("actions", "fit", ["executed", "simulated"]),
+)
+
+
+def _reinforcement(run: Run) -> Sequence[_Panel]:
+    choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
+    expected = "Q at the start, and the return that followed"
+    return (
+        _Panel("return of each episode", "episode", ["return"]),
+        _Panel(expected, "episode", ["q_start", "return_start"]),
+        _Panel("share of saturated actions", "episode", ["saturated"], shares=True),
+        _Panel("who chose the actions", "episode", choices, shares=True),
+    )
+
+
+def _draw_panel(ax: Axes, run: Run, panel: _Panel) -> None:
+    window = _WINDOW if panel.kind == "episode" else 1
+    for key, colour in zip(panel.keys, COLOURS, strict=False):
+        steps, values = run.series(panel.kind, key, panel.over)
+        if len(steps):
+            label = key.removeprefix("chosen_").replace("_", " ")
+            ax.plot(steps, running_mean(values, window), color=colour, label=label)
+    ax.set_title(panel.title)
+    ax.set_xlabel("training action")
+    if panel.shares:
+        ax.set_ylim(-0.02, 1.02)
+    if len(panel.keys) > 1 and ax.lines:
+        ax.legend(loc="best", fontsize=8)
 
 
 def running_mean(values: Floats, window: int) -> Floats:
@@ -132,20 +163,6 @@ def running_mean(values: Floats, window: int) -> Floats:
     starts = np.maximum(ends - window, 0)
     mean: Floats = (sums[ends] - sums[starts]) / (ends - starts)
     return mean
-
-
-def _draw_losses(run: Run) -> str | None:
-    kinds = [kind for kind in ("imitation", "validation_error") if run.records.get(kind)]
-    panels = [(kind, key) for kind in kinds for key in run.keys(kind)]
-    if not panels:
-        return None
-    with style():
-        figure, axes = grid(len(panels), 2, 4.8, 2.6)
-        for ax, (kind, key) in zip(axes, panels, strict=True):
-            ax.plot(*run.series(kind, key), color=COLOURS[0])
-            ax.set_title(f"{kind.replace('_', ' ')}: {key.replace('_', ' ')}")
-            ax.set_xlabel("update")
-        return to_svg(figure)
 
 
 def _draw_run(ax: Axes, run: Run, metric: str, colour: str) -> None:

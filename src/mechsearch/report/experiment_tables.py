@@ -13,7 +13,7 @@ from mechsearch.evaluation.metrics import (
 )
 from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
 from mechsearch.report.document import Grid
-from mechsearch.report.experiment import Condition, Experiment
+from mechsearch.report.experiment import Condition, Experiment, Trial
 from mechsearch.report.tables import Table, cell, display
 
 NOTE = (
@@ -84,7 +84,7 @@ def made_grid(condition: Condition) -> Grid:
                 name,
                 ", ".join(str(trial.seed) for trial in trials),
                 _range(learnt),
-                _range([header.get("simulated_actions", 0) for header in headers]),
+                _range([_tried(condition, trial) for trial in trials]),
                 _range([len(trial.heaps) for trial in trials]),
                 _range([len(header.get("quarantined", ())) for header in headers]),
                 ", ".join(map(str, headers[0].get("keys", ()))),
@@ -100,6 +100,16 @@ def made_grid(condition: Condition) -> Grid:
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
     caption = f"{condition.name.capitalize()} heaps: {said}"
     return Grid(Table(caption, _MADE, tuple(rows)), words=True, widths=_MADE_WIDTHS)
+
+
+def _tried(condition: Condition, trial: Trial) -> int:
+    """Return how many actions were simulated to learn, and to plan while it was scored."""
+    learnt = 0
+    if trial.trained:
+        runs = [run for run in condition.runs.get(trial.name, ()) if run.seed == trial.seed]
+        fits = [record for run in runs for record in run.records.get("fit", ())]
+        learnt = max((int(record["simulated"]) for record in fits), default=0)
+    return learnt + int(trial.header.get("simulated_actions", 0))
 
 
 def plan_text(experiment: Experiment) -> str:

@@ -56,9 +56,7 @@ class Curve:
 
 def curve(runs: Sequence[Run], metric: str, kind: str) -> Curve | None:
     """Return one metric at the actions that all runs were scored at; None if there are none."""
-    # Steps of imitation are updates, not actions.
-    acting = [run for run in runs if not run.records.get("imitation")]
-    series = [run.series(kind, metric) for run in acting]
+    series = [run.series(kind, metric) for run in runs]
     shared = set(series[0][0]) if series else set()
     for steps, _ in series:
         shared &= set(steps)

@@ -1,1 +1,1 @@
-"""Training runs: configuration, the loop, imitation, and the run directory they write."""
+"""Training runs: configuration, the loops, and the run directory they write."""

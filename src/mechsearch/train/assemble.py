@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.metrics import score
 from mechsearch.evaluation.rollout import run
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teachers
 from mechsearch.train.collector import Evaluator, Parts
 from mechsearch.train.config import TrainConfig
-from mechsearch.train.demonstrations import evenly_spread
 from mechsearch.types import MechSearchError, Policy
 
 

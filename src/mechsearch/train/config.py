@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from mechsearch.agent.cloner import ClonerConfig
 from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.agent.exploration import NoiseConfig
 from mechsearch.agent.guidance import GuidanceConfig
@@ -13,54 +12,12 @@ from mechsearch.agent.push_value import PushValueConfig
 from mechsearch.agent.records import record_from_json
 from mechsearch.runs import read_record, write_record
 from mechsearch.teachers import TEACHERS
-from mechsearch.types import (
-    ACTOR_KEYS,
-    PRIVILEGED_KEYS,
-    RGB_ACTOR_KEYS,
-    MechSearchError,
-)
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
 PURPOSE = "training configuration"
 
 CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
 """What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
-
-
-@dataclass(frozen=True)
-class ImitationConfig:
-    """Imitation of a look-ahead expert, and then of its corrections (DAgger).
-
-    Attributes:
-        updates: Gradient steps on the demonstrations; 0 is no imitation.
-        demonstrations: Heaps to read demonstrations of; 0 takes all.
-        validation_share: Share of these heaps kept apart to measure the imitation.
-        executed_actions: Actions executed in all: those of the demonstrations, then those of actor
-            and expert for corrections, until there are so many; 0 is no corrections.
-        longest_lead: Most actions of the actor before the expert takes over.
-        updates_per_action: Gradient steps for each of these actions.
-        corrected_rate: Learning rate then, as a share of the highest.
-        cloner: How the actions are imitated.
-    """
-
-    updates: int = 0
-    demonstrations: int = 0
-    validation_share: float = 0.05
-    executed_actions: int = 0
-    longest_lead: int = 25
-    updates_per_action: float = 1.0
-    corrected_rate: float = 0.2
-    cloner: ClonerConfig = field(default_factory=ClonerConfig)
-
-    def __post_init__(self) -> None:
-        numbers = (self.updates, self.demonstrations, self.executed_actions, self.longest_lead)
-        if min(numbers) < 0:
-            raise MechSearchError(f"imitation has a negative number among {numbers}")
-        if not 0 <= self.validation_share < 1:
-            raise MechSearchError(
-                f"validation_share is {self.validation_share}; expected a share in [0, 1)"
-            )
-        if self.executed_actions and not self.updates:
-            raise MechSearchError("corrections need imitation first: updates is 0")
 
 
 @dataclass(frozen=True)
@@ -71,8 +28,8 @@ class PushLearningConfig:
         networks: How many judge together; 0 is another way of learning.
         tries: Pushes at each decision whose outcome is learnt from: the executed one, and others
             that are only tried in the simulator from there. Without a simulator it is 1.
-        random_actions: Until so many actions are executed, pushes are random.
-        explore: Share of random pushes among the executed ones later.
+        explore: Share of random pushes among the executed ones, after the first fit; before it, all
+            are random.
         ranked: Share of the tried pushes that are the best of what the policy judges, not random.
         value: The network and its fit.
         policy: How pushes are chosen.
@@ -80,18 +37,14 @@ class PushLearningConfig:
 
     networks: int = 0
     tries: int = 12
-    random_actions: int = 1000
     explore: float = 0.1
     ranked: float = 0.5
     value: PushValueConfig = field(default_factory=PushValueConfig)
     policy: PushPolicyConfig = field(default_factory=PushPolicyConfig)
 
     def __post_init__(self) -> None:
-        if self.networks < 0 or self.tries < 1 or self.random_actions < 0:
-            raise MechSearchError(
-                f"networks is {self.networks}, tries {self.tries} and random_actions "
-                f"{self.random_actions}; expected at least 0, 1 and 0"
-            )
+        _at_least("networks", self.networks, 0)
+        _at_least("tries", self.tries, 1)
         if not (0 <= self.explore <= 1 and 0 <= self.ranked <= 1):
             raise MechSearchError(
                 f"explore is {self.explore} and ranked {self.ranked}; expected shares in [0, 1]"
@@ -113,8 +66,8 @@ class TrainConfig:
         block: Actions executed between two looks at the networks, which learn meanwhile.
         warmup: Actions before the first update.
         replay_rows: Most frames kept.
-        evaluate_every: Actions (in imitation: updates) between evaluations.
-        checkpoint_every: Likewise between checkpoints.
+        evaluate_every: Actions between evaluations; where pushes are learnt, between fits too.
+        checkpoint_every: Actions between checkpoints; where pushes are learnt, each fit has one.
         validation_heaps: Training heaps set apart to watch the learning.
         held_out_heaps: Held-out heaps to log a curve on, from the untrained actor on; they choose
             nothing.
@@ -124,8 +77,7 @@ class TrainConfig:
         learner: The updates.
         guidance: The choice among actor and teachers.
         noise: Exploration of the actor.
-        imitation: Imitation instead of reinforcement, where its updates are not 0.
-        pushes: Learning of pushes instead, where its networks are not 0.
+        pushes: Learning of pushes instead of reinforcement, where its networks are not 0.
     """
 
     name: str = "method"
@@ -148,7 +100,6 @@ class TrainConfig:
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
-    imitation: ImitationConfig = field(default_factory=ImitationConfig)
     pushes: PushLearningConfig = field(default_factory=PushLearningConfig)
 
     def __post_init__(self) -> None:
@@ -161,7 +112,7 @@ class TrainConfig:
                 f"updates_per_action is {self.updates_per_action}; expected at least 0"
             )
         self._check_roles()
-        self._check_symmetry()
+        self._check_pushes()
 
     def _check_roles(self) -> None:
         unknown = [name for name in self.teachers if name not in TEACHERS]
@@ -181,19 +132,18 @@ class TrainConfig:
                 "teachers need a Bayesian critic to choose by: dropout is 0; expected more, "
                 "or no teachers"
             )
-        if self.imitation.updates and self.actions:
-            raise MechSearchError(
-                f"a run imitates or reinforces: imitation has {self.imitation.updates} updates "
-                f"and actions is {self.actions}; set one of them to 0"
-            )
-
-    def _check_symmetry(self) -> None:
-        turned = self.learner.symmetry or (
-            self.imitation.updates > 0 and self.imitation.cloner.symmetry
-        )
-        if turned and self.camera != "overhead":
+        if self.learner.symmetry and self.camera != "overhead":
             raise MechSearchError(
                 f"symmetry needs the overhead camera; the camera is {self.camera!r}"
+            )
+
+    def _check_pushes(self) -> None:
+        # Fits come at these actions: else a run made longer would have one that a run of the full
+        # length has not.
+        if self.pushes.networks and self.actions % self.evaluate_every:
+            raise MechSearchError(
+                f"{self.name} fits its networks every {self.evaluate_every} actions "
+                f"(evaluate_every), and actions is {self.actions}; expected a multiple of that"
             )
 
 
@@ -212,12 +162,6 @@ def _presets() -> Mapping[str, TrainConfig]:
         "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
         "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
         "plus": replace(method, teachers=(), pushes=PushLearningConfig(networks=3)),
-        "clone": replace(
-            method,
-            actions=0,
-            teachers=(),
-            imitation=ImitationConfig(updates=3000, executed_actions=8000),
-        ),
         "debug": replace(
             method,
             actions=120,
@@ -232,7 +176,7 @@ def _presets() -> Mapping[str, TrainConfig]:
 
 
 PRESETS = _presets()
-"""The method, its baseline and ablations (paper, section IV), `plus` (imitation), and `debug`."""
+"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), and `debug`."""
 
 
 def preset_config(name: str) -> TrainConfig:

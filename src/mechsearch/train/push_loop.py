@@ -32,7 +32,8 @@ def learn_pushes(
         config: The run; `pushes` says how.
         parts: Environment and evaluators; no teachers.
         directory: Where the run is written.
-        resume: Go on from the last checkpoint, exactly as if nothing had happened.
+        resume: Go on from the last checkpoint, exactly as if nothing had happened; a finished run
+            goes on to more actions as if it had been meant to from the start.
         progress: Told after each episode, with the last evaluation.
 
     Raises:
@@ -48,8 +49,8 @@ def learn_pushes(
     log, scores = RunLog(directory, checkpoint), {}
     if not checkpoint and config.held_out_heaps:
         scores = evaluate(session.policy, 0, parts.evaluators, log)
-    while session.counts["executed"] < config.actions:
-        step = min((session.counts["fits"] + 1) * config.evaluate_every, config.actions)
+    every = config.evaluate_every
+    for step in range((session.counts["fits"] + 1) * every, config.actions + 1, every):
         while session.counts["executed"] < step:
             episode = session.episode()
             save_episode(episode, _file(directory, session.counts["episodes"] - 1))

@@ -6,18 +6,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from mechsearch.env.heap_env import HeapEnv
 from mechsearch.fingerprint import crossed, fingerprint
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.parallel import Progress, silent
 from mechsearch.runs import alone, read_record, write_record
 from mechsearch.train.assemble import assemble
 from mechsearch.train.checkpoint import CONFIG_FILE
-from mechsearch.train.collector import Env
 from mechsearch.train.config import TrainConfig
-from mechsearch.train.demonstrations import Demonstration, DemonstrationStore
-from mechsearch.train.expert import LookAheadExpert
-from mechsearch.train.imitate import Expert, imitate
 from mechsearch.train.loop import train
 from mechsearch.train.push_loop import learn_pushes
 from mechsearch.types import MechSearchError
@@ -36,12 +31,10 @@ class TrialInputs:
     Attributes:
         heaps: Heap set (.parquet); its training half is learnt on.
         objects: Object set; empty takes the one that the heaps name.
-        demonstrations: Folder that `demonstrate` wrote, for variants that imitate.
     """
 
     heaps: Path
     objects: str = ""
-    demonstrations: Path | None = None
 
     @classmethod
     def of_run(cls, directory: Path) -> "TrialInputs":
@@ -51,8 +44,7 @@ class TrialInputs:
             MechSearchError: If it has no record of that.
         """
         record = _read(directory)
-        shown = record["demonstrations"]
-        return cls(Path(record["heaps"]), record["objects"], Path(shown) if shown else None)
+        return cls(Path(record["heaps"]), record["objects"])
 
 
 def run_trial(
@@ -62,14 +54,14 @@ def run_trial(
     resume: bool = False,
     progress: Progress = silent,
 ) -> dict[str, float]:
-    """Train or imitate, and write the run directory; return the last evaluation.
+    """Train, and write the run directory; return the last evaluation.
 
     Args:
         config: The run.
         inputs: What it is made from.
         directory: Where it is written.
         resume: Go on from the last checkpoint.
-        progress: Told after each action or update.
+        progress: Told as the run goes on.
 
     Raises:
         MechSearchError: If the inputs do not fit, the directory holds another run, or another
@@ -85,45 +77,14 @@ def _run_alone(
     heap_set = load(inputs.heaps)
     objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
     check_objects(heap_set, objects)
-    shown = _demonstrations(config, inputs, heap_set)
     _record(inputs, heap_set, directory, resume, fingerprint(config.threads))
     parts = assemble(config, heap_set, objects)
-    if config.pushes.networks:
-        return learn_pushes(config, parts, directory, resume, progress)
-    if shown is None:
-        return train(config, parts, directory, resume, progress)
-    return imitate(config, shown, directory, parts, _expert_for(parts.env), resume, progress)
-
-
-def _demonstrations(
-    config: TrainConfig, inputs: TrialInputs, heap_set: HeapSet
-) -> list[Demonstration] | None:
-    """Return what is to be imitated, or None where the variant does not imitate.
-
-    Raises:
-        MechSearchError: If demonstrations are missing, not asked for, or of other heaps.
-    """
-    imitation = config.imitation
-    if bool(imitation.updates) != bool(inputs.demonstrations):
-        raise MechSearchError(
-            f"{config.name} imitates; give it --demonstrations, a folder that "
-            "`mechsearch demonstrate` wrote"
-            if imitation.updates
-            else f"{config.name} does not imitate; leave --demonstrations out"
-        )
-    if inputs.demonstrations is None:
-        return None
-    store = DemonstrationStore(inputs.demonstrations)
-    if store.facts().get("heap_set") != heap_set.hash:
-        raise MechSearchError(
-            f"the demonstrations at {inputs.demonstrations} are of other heaps than {inputs.heaps}"
-        )
-    return store.read_all(imitation.demonstrations)
+    learn = learn_pushes if config.pushes.networks else train
+    return learn(config, parts, directory, resume, progress)
 
 
 def _read(directory: Path) -> dict[str, Any]:
-    needed = ("heaps", "heap_set", "objects", "demonstrations")
-    return read_record(directory / INPUTS_FILE, _PURPOSE, needed)
+    return read_record(directory / INPUTS_FILE, _PURPOSE, ("heaps", "heap_set", "objects"))
 
 
 def crossings(directory: Path) -> list[str]:
@@ -158,24 +119,10 @@ def _record(
         if history[-1:] != [now]:
             write_record(file, _PURPOSE, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
-        shown = inputs.demonstrations
         record = {
             "heaps": str(inputs.heaps.resolve()),
             "heap_set": heap_set.hash,
             "objects": inputs.objects or str(heap_set.manifest["config"]["objects"]),
-            "demonstrations": str(shown.resolve()) if shown else None,
             _HISTORY: [now],
         }
         write_record(file, _PURPOSE, record)
-
-
-def _expert_for(task: Env) -> Expert:
-    """Return the look-ahead expert for corrections in an environment over heaps."""
-    look_ahead = LookAheadExpert(_over_heaps(task))
-    return lambda env: look_ahead(_over_heaps(env))
-
-
-def _over_heaps(env: Env) -> HeapEnv:
-    if not isinstance(env, HeapEnv):
-        raise MechSearchError(f"the expert plans over heaps, not in a {type(env).__name__}")
-    return env
