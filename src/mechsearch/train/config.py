@@ -36,7 +36,7 @@ class PushLearningConfig:
     """
 
     networks: int = 0
-    tries: int = 12
+    tries: int = 24
     explore: float = 0.1
     ranked: float = 0.5
     value: PushValueConfig = field(default_factory=PushValueConfig)
