@@ -108,6 +108,7 @@ def test_a_projection_that_follows_the_objects_is_as_good_as_a_new_one(boxes, se
         elif turn == 3:
             poses[index, 3] *= -1
         target = int(rng.integers(len(names)))
+        kept.place(poses)
         followed = hidden(boxes, names, poses, target, projection=kept)
         assert followed == hidden(boxes, names, poses, target)
 
