@@ -14,6 +14,7 @@ from mechsearch.report.experiment_tables import estimate, made_grid
 from mechsearch.report.failure_modes import SUCCESS, UNFINISHED
 from mechsearch.report.mode_pictures import chosen, mode_pictures
 from mechsearch.report.tables import MINUS, Table
+from mechsearch.types import MechSearchError
 
 Models = Mapping[str, ObjectModel]
 
@@ -146,7 +147,7 @@ def test_a_pdf_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     pdf.write_pdf(tmp_path / "a.pdf", Document("Title", "Lead"))
     assert [path.name for path in tmp_path.iterdir()] == ["a.pdf"]
     (tmp_path / "b.pdf").mkdir()
-    with pytest.raises(OSError, match=r"b\.pdf"):
+    with pytest.raises(MechSearchError, match=r"b\.pdf: Is a directory"):
         pdf.write_pdf(tmp_path / "b.pdf", Document("Title", "Lead"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.pdf", "b.pdf"]
 
