@@ -203,6 +203,28 @@ def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
     assert session._choose(sight)[0] == drawn[session.policy.best(drawn, sight)]
 
 
+def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(plus, make_env):
+    def executed(explore):
+        alone = replace(plus.pushes, tries=1, explore=explore)
+        session = PushSession(replace(plus, pushes=alone), make_env(), range(2))
+        session.remember(session.episode())
+        session.fit()
+        obs, _ = session._env.reset(seed=1, options={"heap": 0})
+        session._rng = np.random.default_rng(0)
+        sight, drawn = session.policy.see(obs), draw_pushes(12, np.random.default_rng(0))
+        (chosen,) = session._choose(sight)
+        return drawn.index(chosen), session.policy.best(drawn, sight)
+
+    chosen, best = executed(explore=0.0)
+    assert chosen == best
+    assert executed(explore=1.0)[0] == 0
+
+
+def test_more_tries_than_candidates_are_refused(plus):
+    with pytest.raises(MechSearchError, match="tries is 13, but 12 candidates"):
+        replace(plus.pushes, tries=13)
+
+
 def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
     session = PushSession(plus, make_env(), range(2))
     session.remember(session.episode())

@@ -45,6 +45,11 @@ class PushLearningConfig:
     def __post_init__(self) -> None:
         _at_least("networks", self.networks, 0)
         _at_least("tries", self.tries, 1)
+        if self.tries > self.policy.candidates:
+            raise MechSearchError(
+                f"tries is {self.tries}, but {self.policy.candidates} candidates are drawn; "
+                f"expected 1 to {self.policy.candidates}"
+            )
         if not (0 <= self.explore <= 1 and 0 <= self.ranked <= 1):
             raise MechSearchError(
                 f"explore is {self.explore} and ranked {self.ranked}; expected shares in [0, 1]"

@@ -92,11 +92,13 @@ class PushSession:
         if not self.policy.networks:
             return pushes[: plan.tries]
         order = [pushes[i] for i in np.argsort(-self.policy.judge(pushes, sight))]
-        ranked = round(plan.ranked * plan.tries)
+        ranked = max(round(plan.ranked * plan.tries), 1)
         rest = order[ranked:]
         picks = self._rng.choice(len(rest), plan.tries - ranked, replace=False)
         tried = [*order[:ranked], *(rest[i] for i in picks)]
-        return tried[::-1] if explores else tried
+        if explores:
+            return tried[::-1] if len(picks) else pushes[: plan.tries]
+        return tried
 
     def _try(
         self, snapshot: dict[str, Array], pushes: Sequence[Push], sight: Sight
