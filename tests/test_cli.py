@@ -1,3 +1,4 @@
+import hashlib
 import importlib
 import importlib.util
 import json
@@ -5,6 +6,7 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -233,8 +235,8 @@ def test_a_page_and_a_plot_are_made_from_files_alone(scores: Path, tmp_path: Pat
     assert "<svg" in (tmp_path / "s.svg").read_text()
 
 
-def test_a_run_is_trained_continued_and_evaluated(
-    heaps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_is_trained_continued_evaluated_and_packed(
+    heaps: Path, scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
     run = tmp_path / "run"
@@ -264,6 +266,18 @@ def test_a_run_is_trained_continued_and_evaluated(
     }
     main(["report", str(out), str(run), "--out", str(tmp_path / "r.html"), "--no-pictures"])
     assert "Evaluations during training" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    recorded, packed = out / "debug-seed5-14.npz", tmp_path / "mine" / "debug.safetensors"
+    main(["pack", str(run), "--scores", str(recorded), "--out", str(packed)])
+    card = json.loads(packed.with_suffix(".json").read_text())
+    assert card["sha256"] == hashlib.sha256(packed.read_bytes()).hexdigest()
+    assert (card["variant"], card["seed"], card["executed_actions"]) == ("debug", 5, 14)
+    assert card["trained_on"]["heap_set"] == card["scored_on"]["heap_set"]
+    rewards = [record.rewards.sum() for record in episodes.load(recorded).episodes]
+    assert card["scores"]["reward"][0] == pytest.approx(np.mean(rewards))
+    other = ["pack", str(run), "--scores", str(scores / "idle.npz"), "--out", str(packed)]
+    said = failure(other, capsys)
+    assert "are of another policy" in said
+    assert "'idle', not 'debug'" in said
 
 
 @pytest.mark.parametrize(
