@@ -91,6 +91,22 @@ def test_occlusion_is_the_share_of_pixels_that_a_dense_frame_hides(boxes, seed, 
     assert measured == pytest.approx(1 - seen.sum() / whole.sum(), abs=1e-12)
 
 
+def test_a_projection_notices_a_body_that_slid_before_one_that_also_turned(boxes):
+    rng = np.random.default_rng(1)
+    names, poses = list(boxes.models), tumbled(boxes, rng)
+    kept = Projection(CAMERA, [body_of(boxes.models[n]) for n in names])
+    kept.place(poses)
+    moved = poses.copy()
+    moved[1, 0] += 0.05
+    moved[3] = tumbled(boxes, rng)[3]
+    assert (moved[3] != poses[3]).all()
+    kept.place(moved)
+    new = Projection(CAMERA, [body_of(boxes.models[n]) for n in names])
+    new.place(moved)
+    np.testing.assert_array_equal(kept.starts, new.starts)
+    np.testing.assert_array_equal(kept.bounds, new.bounds)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_projection_that_follows_the_objects_is_as_good_as_a_new_one(boxes, seed):
