@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from mechsearch.agent.weights import Archive
 from mechsearch.runs import read_lines
 from mechsearch.train.episode import EpisodeLog
 from mechsearch.train.log import RunLog
@@ -46,11 +47,13 @@ def test_choices_terms_saturation_and_updates_are_told():
 
 def test_a_reopened_log_drops_what_will_come_again(tmp_path):
     log = RunLog(tmp_path)
-    for step in (1, 2, 3):
+    for step in (1, 2):
         log.write("episode", step, {"return": step / 3, "end": "lost"})
+    size = log.size
+    log.write("episode", 3, {"return": 1.0, "end": "lost"})
     log.close()
     before = (tmp_path / "metrics.jsonl").read_bytes().splitlines()
     (tmp_path / "metrics.jsonl").open("a").write('{"step": 4, "torn')
-    RunLog(tmp_path, step=2).close()
+    RunLog(tmp_path, Archive("checkpoint", {}, {"step": 2, "logged": size})).close()
     assert (tmp_path / "metrics.jsonl").read_bytes().splitlines() == before[:2]
     assert [r["step"] for r in read_lines(tmp_path / "metrics.jsonl")] == [1, 2]

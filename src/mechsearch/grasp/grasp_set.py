@@ -1,7 +1,6 @@
 """Labelled grasps on disk: shards of arrays, and a manifest that says what made them."""
 
 import hashlib
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.runs import read_record, write_record, write_whole
+from mechsearch.runs import ARRAY_DAMAGE, read_record, write_record, write_whole
 from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError
 
@@ -136,7 +135,7 @@ def load_grasps(path: Path) -> Grasps:
         try:
             with np.load(file, allow_pickle=False) as arrays:
                 parts.append(Grasps(*(arrays[name] for name in _FIELDS)))
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except ARRAY_DAMAGE as error:
             raise MechSearchError(f"shard {file} is damaged: {error}") from None
     if not parts:
         raise MechSearchError(f"{path} holds no grasps yet")

@@ -1,6 +1,5 @@
 """A user's own depth image, mask and intrinsics, from NPZ, NPY, PNG and JSON files."""
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from PIL import Image, UnidentifiedImageError
 
 from mechsearch.camera import Camera
 from mechsearch.grasp.view import GraspView, view_of_image
-from mechsearch.runs import read_json
+from mechsearch.runs import ARRAY_DAMAGE, read_json
 from mechsearch.types import Array, MechSearchError
 
 _LEVEL = tuple(np.eye(4).ravel().tolist())
@@ -67,7 +66,7 @@ def _array(path: Path, name: str) -> Array:
             # Alpha and colour say nothing about depth or membership: the first channel counts.
             array = np.asarray(image)
             return array[..., 0] if array.ndim == 3 else array
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, UnidentifiedImageError) as error:
+    except (*ARRAY_DAMAGE, UnidentifiedImageError) as error:
         raise MechSearchError(f"the {name} at {path} is damaged: {error}") from None
 
 

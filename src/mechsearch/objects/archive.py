@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.runs import write_whole
+from mechsearch.runs import read_arrays, write_whole
 from mechsearch.types import Array, MechSearchError
 
 
@@ -60,22 +58,15 @@ def model_from_npz(path: Path) -> tuple[ObjectModel, str]:
         MechSearchError: If the file is missing, damaged or not such a file.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
+        arrays = read_arrays(path, "object model")
         checksum = bytes(arrays.pop("checksum")).decode()
         sound = checksum == _checksum(arrays)
         model, remark = _model(arrays)
-    except FileNotFoundError:
-        raise MechSearchError(f"no object model at {path}") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, *_ZIP_ERRORS) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise MechSearchError(f"the object model at {path} is damaged: {error}") from None
     if not sound:
         raise MechSearchError(f"the object model at {path} is damaged: its checksum differs")
     return model, remark
-
-
-# What zipfile raises on damaged headers and streams, beside BadZipFile.
-_ZIP_ERRORS = (NotImplementedError, RuntimeError, zlib.error)
 
 
 def _checksum(arrays: Mapping[str, Array]) -> str:
