@@ -1,6 +1,6 @@
 import numpy as np
 
-from mechsearch.fingerprint import PACKAGES, crossed, fingerprint
+from mechsearch.fingerprint import PACKAGES, crossed, fingerprint, mixed
 
 
 def test_a_fingerprint_names_what_computes() -> None:
@@ -23,3 +23,14 @@ def test_every_difference_is_told_in_words() -> None:
         "gone not recorded instead of x",
         "new y instead of not recorded",
     ]
+
+
+def test_results_that_were_computed_alike_need_no_word() -> None:
+    assert mixed({}) == []
+    assert mixed({"a": fingerprint(), "b": fingerprint()}) == []
+
+
+def test_results_of_another_machine_are_named_together() -> None:
+    here, there = {"torch": "2.3.1", "processor": "x86_64"}, {"torch": "2.3.1", "processor": "arm"}
+    (sentence,) = mixed({"spiral": here, "method": there, "idle": here, "plus": there})
+    assert sentence.startswith("method, plus came about with processor arm instead of x86_64")

@@ -36,6 +36,25 @@ def crossed(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     ]
 
 
+def mixed(found: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Return a sentence for each way in which compared results were not computed alike.
+
+    Args:
+        found: Fingerprints by the name of the result; the first is what the others are held to.
+    """
+    reference = next(iter(found.values()), {})
+    names: dict[str, list[str]] = {}
+    for name, own in found.items():
+        differences = ", ".join(crossed(reference, own))
+        if differences:
+            names.setdefault(differences, []).append(name)
+    return [
+        f"{', '.join(who)} came about with {differences}, so that this comparison crosses machines "
+        "or versions: bits differ by rounding."
+        for differences, who in names.items()
+    ]
+
+
 def _version(package: str) -> str:
     try:
         return version(package)

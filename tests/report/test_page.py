@@ -1,6 +1,7 @@
 import base64
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -99,6 +100,16 @@ def test_without_a_trained_policy_the_best_one_is_the_subject(evaluations) -> No
 
 def test_a_single_policy_is_reported_too(evaluations) -> None:
     assert "nothing to be compared with" in page(Report("One", {"idle": evaluations["idle"]}))
+
+
+def test_a_comparison_across_machines_says_so(evaluations) -> None:
+    alike = page(Report("Alike", evaluations))
+    assert "crosses machines" not in alike
+    idle = evaluations["idle"]
+    own = {**idle.header.get("fingerprint", {}), "processor": "another"}
+    other = replace(idle, header={**idle.header, "fingerprint": own})
+    text = page(Report("Apart", {**evaluations, "idle": other}))
+    assert "idle came about with processor another" in text
 
 
 def test_no_evaluation_is_refused_and_nothing_is_written(tmp_path: Path) -> None:

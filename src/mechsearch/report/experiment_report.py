@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from mechsearch.fingerprint import mixed
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import claims, failure_modes, learning, tradeoff
 from mechsearch.report.curves import EVALUATIONS
@@ -206,4 +207,11 @@ def _mode_table(condition: Condition) -> Table:
 
 def _made(experiment: Experiment) -> list[Block]:
     blocks: list[Block] = [made_grid(c) for c in experiment.conditions.values()]
-    return [*blocks, Paragraph(plan_text(experiment), note=True)]
+    found = {
+        f"{condition.name} {trial.name}, seed {trial.seed}": trial.header.get("fingerprint", {})
+        for condition in experiment.conditions.values()
+        for trials in condition.trials.values()
+        for trial in trials
+    }
+    crossings = [Paragraph(text) for text in mixed(found)]
+    return [*blocks, *crossings, Paragraph(plan_text(experiment), note=True)]

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
+from mechsearch.fingerprint import mixed
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import tables, verdicts
 from mechsearch.report.document import Picture, picture_html, section_html
@@ -208,5 +209,7 @@ def _made(report: Report) -> str:
         "MuJoCo": header.get("engine"),
     }
     paragraphs = [f"{key}: {value}." for key, value in facts.items() if value]
-    text = "".join(f"<p>{escape(line)}</p>" for line in (*report.notes, " ".join(paragraphs)))
+    crossings = mixed({n: e.header.get("fingerprint", {}) for n, e in report.evaluations.items()})
+    lines = (*report.notes, " ".join(paragraphs), *crossings)
+    text = "".join(f"<p>{escape(line)}</p>" for line in lines)
     return tables.to_html(tables.Table("Policies", columns, tuple(rows))) + text
