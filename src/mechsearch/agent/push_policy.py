@@ -9,9 +9,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mechsearch.agent.push_value import Ahead, PushValue, PushValueConfig
+from mechsearch.agent.push_value import (
+    Ahead,
+    PushValue,
+    PushValueConfig,
+    networks_of,
+    tensors_of,
+)
 from mechsearch.agent.records import record_from_json
-from mechsearch.agent.weights import Archive, load_archive, part, prefixed, save_archive
+from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.camera import preset
 from mechsearch.pushes import Push, PushFollower, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
@@ -113,9 +119,6 @@ class PushPolicy:
 
 def save_push_policy(policy: PushPolicy, path: Path) -> None:
     """Write a policy to a safetensors file that `load_push_policy` needs nothing beside."""
-    tensors: dict[str, torch.Tensor] = {}
-    for i, network in enumerate(policy.networks):
-        tensors |= prefixed(str(i), network.state_dict())
     meta = {
         "network": asdict(policy.networks[0].config),
         "networks": len(policy.networks),
@@ -123,7 +126,7 @@ def save_push_policy(policy: PushPolicy, path: Path) -> None:
         "policy": asdict(policy.config),
         "training_actions": policy.training_actions,
     }
-    save_archive(path, Archive(KIND, tensors, meta))
+    save_archive(path, Archive(KIND, tensors_of(policy.networks), meta))
 
 
 def load_push_policy(path: Path) -> PushPolicy:
@@ -135,11 +138,8 @@ def load_push_policy(path: Path) -> PushPolicy:
     archive = load_archive(path, KIND)
     meta = archive.meta
     config = record_from_json(PushValueConfig, meta["network"])
-    networks = [PushValue(config) for _ in range(int(meta["networks"]))]
-    for i, network in enumerate(networks):
-        Archive(KIND, part(archive.tensors, str(i)), {}).fill(network)
     return PushPolicy(
-        networks,
+        networks_of(archive.tensors, int(meta["networks"]), config),
         record_from_json(Ahead, meta["ahead"]),
         record_from_json(PushPolicyConfig, meta["policy"]),
         int(meta["training_actions"]),

@@ -1,4 +1,4 @@
-"""Pushes that a camera can choose among: straight, zig-zag and spiral, seen from images alone."""
+"""Pushes that a camera can choose among: straight and spiral, seen from images alone."""
 
 from mechsearch.pushes.follow import PushFollower
 from mechsearch.pushes.push import KINDS, Push, draw_pushes

@@ -9,9 +9,17 @@ import numpy as np
 import torch
 
 from mechsearch.agent.push_policy import PushPolicy
-from mechsearch.agent.push_value import Ahead, Outcome, PushSamples, PushValue, fit
+from mechsearch.agent.push_value import (
+    Ahead,
+    Outcome,
+    PushSamples,
+    PushValue,
+    fit,
+    networks_of,
+    tensors_of,
+)
 from mechsearch.agent.records import record_from_json
-from mechsearch.agent.weights import Archive, load_archive, part, prefixed, save_archive
+from mechsearch.agent.weights import Archive, load_archive, save_archive
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.pushes import Push, Sight, draw_pushes, view_pushes
 from mechsearch.train.checkpoint import generator_state, restore_generator
@@ -118,11 +126,8 @@ class PushSession:
         ahead = _ahead(torch.cat(self._followed)[-_RECENT:])
         networks, losses = [], []
         for i in range(plan.networks):
-            seed = int(
-                np.random.SeedSequence([self.config.seed, self.counts["fits"], i]).generate_state(
-                    1
-                )[0]
-            )
+            source = np.random.SeedSequence([self.config.seed, self.counts["fits"], i])
+            seed = int(source.generate_state(1)[0])
             torch.manual_seed(seed)
             networks.append(PushValue(plan.value))
             losses.append(fit(networks[-1], samples, seed))
@@ -137,10 +142,7 @@ class PushSession:
 
     def archive(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Return tensors and facts that `restore` takes back, between two episodes."""
-        tensors: dict[str, torch.Tensor] = {}
-        for i, network in enumerate(self.policy.networks):
-            tensors |= prefixed(str(i), network.state_dict())
-        return tensors, {
+        return tensors_of(self.policy.networks), {
             "counts": dict(self.counts),
             "generator": generator_state(self._rng),
             "ahead": asdict(self.policy.ahead),
@@ -150,9 +152,8 @@ class PushSession:
         """Go back to a checkpoint, after these episodes."""
         self.counts = {**self.counts, **archive.meta["counts"]}
         restore_generator(self._rng, archive.meta["generator"])
-        networks = [PushValue(self.config.pushes.value) for _ in range(self.config.pushes.networks)]
-        for i, network in enumerate(networks):
-            Archive(KIND, part(archive.tensors, str(i)), {}).fill(network)
+        plan = self.config.pushes
+        networks = networks_of(archive.tensors, plan.networks, plan.value)
         self.policy = self._policy(networks, record_from_json(Ahead, archive.meta["ahead"]))
         for episode in episodes:
             self.remember(episode)

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from mechsearch.agent.push_value import Outcome
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.pushes import Push, PushFollower, Sight
@@ -83,5 +85,5 @@ class Trials:
 
     def attempt(self, snapshot: dict[str, Array], push: Push, sight: Sight) -> Course:
         """Carry out a push from a snapshot of the environment, as if the episode began there."""
-        fresh = snapshot | {"actions": snapshot["actions"] * 0}
+        fresh = snapshot | {"actions": np.zeros_like(snapshot["actions"])}
         return carry_out(self._twin, self._twin.restore(fresh), push, sight)
