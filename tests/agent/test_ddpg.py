@@ -1,11 +1,12 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from mechsearch.agent.behaviour import Behaviour
-from mechsearch.agent.ddpg import Learner, LearnerConfig, TensorBatch, alpha_divergence
+from mechsearch.agent.ddpg import Learner, LearnerConfig, TensorBatch, alpha_divergence, straying
 from mechsearch.agent.networks import NetworkConfig
 from mechsearch.agent.replay import Replay
 from mechsearch.types import MechSearchError
@@ -13,6 +14,7 @@ from mechsearch.types import MechSearchError
 ACTOR = {"ee_position": (3,)}
 CRITIC = {"ee_position": (3,), "target_offset": (3,)}
 SMALL = NetworkConfig(hidden=(32, 32), bfloat16=False)
+DIRECTIONS = NetworkConfig(hidden=(32, 32), directions=True)
 FULL = NetworkConfig(bfloat16=False)
 
 
@@ -22,7 +24,7 @@ def learner(seed=0, actor=ACTOR, **changes):
     return Learner(actor, CRITIC, LearnerConfig(**settings), seed)
 
 
-def batch(size=16, reward=0.0, discount=0.9):
+def batch(size=16, reward=0.0, discount=0.9, guided=False):
     generator = torch.Generator().manual_seed(0)
 
     def rand():
@@ -32,7 +34,8 @@ def batch(size=16, reward=0.0, discount=0.9):
     after = {"ee_position": rand(), "target_offset": rand()}
     full = torch.full((size,), reward), torch.full((size,), discount)
     known = torch.arange(size) % 2 == 0
-    return TensorBatch(obs, rand() * 2 - 1, *full, after, rand() * 2 - 1, known)
+    taught = torch.full((size,), guided)
+    return TensorBatch(obs, rand() * 2 - 1, *full, after, rand() * 2 - 1, known, taught)
 
 
 def bandit(rows=400):
@@ -96,14 +99,59 @@ def test_after_a_termination_the_target_is_the_reward():
 
 
 def test_targets_move_by_the_share_tau():
-    agent = learner(tau=0.25)
-    before = [p.clone() for p in agent.critic_target.parameters()]
-    for parameter in agent.critic.parameters():
-        torch.nn.init.normal_(parameter)
-    agent.update_target()
-    triples = zip(before, agent.critic.parameters(), agent.critic_target.parameters(), strict=True)
-    for old, new, target in triples:
-        torch.testing.assert_close(target, 0.75 * old + 0.25 * new)
+    agent = learner(tau=0.25, actor_tau=0.5)
+    for network, target, tau in (
+        (agent.critic, agent.critic_target, 0.25),
+        (agent.actor, agent.actor_target, 0.5),
+    ):
+        before = [p.clone() for p in target.parameters()]
+        for parameter in network.parameters():
+            torch.nn.init.normal_(parameter)
+        agent.updates = 1000
+        agent.update_target()
+        for old, new, found in zip(before, network.parameters(), target.parameters(), strict=True):
+            torch.testing.assert_close(found, (1 - tau) * old + tau * new)
+
+
+def test_the_actor_that_is_evaluated_begins_as_the_mean_of_all_actors():
+    agent = learner(actor_tau=0.1)
+    bias, seen = agent.actor.output.bias.detach(), []
+    for value in (3.0, 5.0, -1.0):
+        bias.fill_(value)
+        agent.update_target()
+        seen.append(value)
+        found = agent.actor_target.output.bias
+        torch.testing.assert_close(found, torch.full((3,), float(np.mean(seen))))
+
+
+def test_straying_is_one_less_the_mean_cosine_to_what_teachers_did():
+    action = torch.tensor([[1.0, 0, 0], [1, 0, 0], [0, 0.2, 0], [0, 0, -1]])
+    recorded = torch.tensor([[0.5, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]])
+    everyone, some = torch.ones(4, dtype=torch.bool), torch.tensor([True, True, False, False])
+    assert straying(action, recorded, everyone).item() == pytest.approx((0 + 1 + 2 + 0) / 4)
+    assert straying(action, recorded, some).item() == pytest.approx(0.5)
+    assert straying(action, recorded, ~everyone).item() == 0
+
+
+def test_teachers_that_disagree_do_not_shorten_what_is_learnt_from_them():
+    # Two thirds go right, a third goes left: squared distances would teach a third of a step.
+    agent = learner(imitation=100.0, network=DIRECTIONS, actor_rate=1e-2)
+    data = batch(size=30, guided=True)
+    left = (torch.arange(30) % 3 == 0).float()[:, None]
+    data = replace(data, action=torch.tensor([[1.0, 0.0, 0.0]]) * (1 - 2 * left))
+    alike = {key: torch.ones_like(value) for key, value in data.obs.items()}
+    for _ in range(100):
+        agent.update_actor(replace(data, obs=alike))
+    action = agent.actor(alike)[0].detach()
+    torch.testing.assert_close(action, torch.tensor([1.0, 0.0, 0.0]), atol=0.1, rtol=0)
+
+
+def test_what_no_teacher_did_is_not_imitated():
+    data, changed = batch(), batch()
+    changed = replace(changed, action=-changed.action)
+    found = [learner(imitation=100.0).update_actor(d) for d in (data, changed)]
+    assert found[0] == found[1]
+    assert found[0]["strays"] == 0
 
 
 def test_the_actor_update_leaves_the_critic_alone_and_the_critic_update_the_actor():
@@ -155,9 +203,9 @@ def test_the_saturation_penalty_pulls_the_output_back():
     agent = learner(saturation_penalty=10.0)
     torch.nn.init.constant_(agent.actor.output.bias, 3.0)
     data = batch()
-    first = agent.update_actor(data)["pre_tanh"]
+    first = agent.update_actor(data)["output"]
     for _ in range(50):
-        last = agent.update_actor(data)["pre_tanh"]
+        last = agent.update_actor(data)["output"]
     assert last < first
 
 
@@ -206,7 +254,16 @@ def test_symmetric_training_turns_observation_and_action_together():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"gamma": 1.5}, {"tau": 0}, {"batch": 0}, {"dropout": 1.0}, {"actor_rate": -1}]
+    "wrong",
+    [
+        {"gamma": 1.5},
+        {"tau": 0},
+        {"actor_tau": 2},
+        {"batch": 0},
+        {"dropout": 1.0},
+        {"actor_rate": -1},
+        {"imitation": -1},
+    ],
 )
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(MechSearchError, match=next(iter(wrong))):

@@ -26,7 +26,17 @@ def test_actions_are_in_the_unit_box_and_small_at_first():
 
 def test_the_action_is_the_tanh_of_what_the_penalty_sees():
     actor, obs = Actor(SHAPES, EXACT), observations(SHAPES, 2)
-    torch.testing.assert_close(actor(obs), torch.tanh(actor.pre_tanh(obs)))
+    torch.testing.assert_close(actor(obs), torch.tanh(actor.raw(obs)))
+    assert actor.excess(torch.tensor([[3.0, 0.0, 0.0]])).item() == pytest.approx(3.0)
+
+
+def test_an_action_as_a_direction_has_full_length_whatever_the_output_is():
+    actor = Actor(SHAPES, NetworkConfig(directions=True))
+    torch.testing.assert_close(actor(observations(SHAPES, 5)).norm(dim=1), torch.ones(5))
+    raw = torch.tensor([[3.0, 0.0, 4.0], [0.03, 0.0, 0.04]])
+    torch.testing.assert_close(actor.squash(raw), torch.tensor([[0.6, 0.0, 0.8]]).expand(2, 3))
+    assert actor.excess(raw).item() == pytest.approx((4.0**2 + 0.95**2) / 2)
+    assert torch.isfinite(actor.squash(torch.zeros(1, 3))).all()
 
 
 def test_the_paper_image_size_gives_two_thousand_features_a_tower():

@@ -24,7 +24,8 @@ def play(replay, episode, length, terminated):
         last = step == length - 1
         action = np.array([episode, step, 0], np.float32)
         discount = 0.0 if last and terminated else GAMMA
-        replay.add(frame(episode, step), action, 10 * episode + step, discount)
+        guided = (episode + step) % 3 == 0
+        replay.add(frame(episode, step), action, 10 * episode + step, discount, guided)
     replay.end(frame(episode, length))
 
 
@@ -37,6 +38,15 @@ def test_a_transition_is_a_row_and_its_next_observation_the_next_row():
     np.testing.assert_array_equal(batch.next_obs["who"], batch.obs["who"] + [0, 1])
     np.testing.assert_array_equal(batch.obs["who"], batch.action[:, :2])
     np.testing.assert_array_equal(batch.reward, batch.obs["who"] @ [10, 1])
+
+
+def test_who_acted_stays_with_what_was_done():
+    replay = empty()
+    play(replay, 1, 5, terminated=True)
+    play(replay, 2, 3, terminated=False)
+    for horizon in (1, 3):
+        batch = replay.sample(300, np.random.default_rng(0), horizon)
+        np.testing.assert_array_equal(batch.guided, batch.obs["who"].sum(1) % 3 == 0)
 
 
 def test_what_was_done_next_is_known_except_at_an_episodes_end():

@@ -144,15 +144,16 @@ def test_the_critics_loss_is_its_formula_summed_term_by_term(seed, copies, size,
 
 
 @pytest.mark.parametrize("tau", [0.01, 0.3, 1.0])
-def test_both_targets_move_by_the_share_tau(agent, tau):
+def test_each_target_moves_by_its_share_tau(agent, tau):
     moving = deepcopy(agent)
-    moving.config = replace(agent.config, tau=tau)
+    moving.config = replace(agent.config, tau=tau, actor_tau=tau / 2)
+    moving.updates = 1000
     moving.update_target()
-    for name in ("actor", "critic"):
+    for name, share in (("actor", tau / 2), ("critic", tau)):
         old, new = getattr(agent, f"{name}_target"), getattr(agent, name)
         moved = getattr(moving, f"{name}_target")
         for a, b, c in zip(old.parameters(), new.parameters(), moved.parameters(), strict=True):
-            torch.testing.assert_close(c, (1 - tau) * a + tau * b)
+            torch.testing.assert_close(c, (1 - share) * a + share * b)
 
 
 @settings(deadline=None, max_examples=25)

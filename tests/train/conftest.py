@@ -143,7 +143,7 @@ def make_parts():
 
 @pytest.fixture(scope="session")
 def config():
-    learner = LearnerConfig(batch=16, samples=5, network=SMALL, actor_rate=1e-3)
+    learner = LearnerConfig(batch=16, samples=5, network=SMALL, actor_rate=1e-3, actor_tau=0.05)
     return replace(
         TrainConfig(),
         actions=120,

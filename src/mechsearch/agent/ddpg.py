@@ -27,7 +27,9 @@ class LearnerConfig:
         actor_rate: Learning rate of the actor (AC-Teach: 1e-4).
         critic_rate: Learning rate of the critic (AC-Teach: 1e-3).
         gamma: Discount of one action.
-        tau: Share of the network that enters its target at each update.
+        tau: Share of the critic that enters its target at each update.
+        actor_tau: Likewise of the actor. Its target, a running average, is what is evaluated; in
+            the beginning it is the mean of all actors so far.
         batch: Transitions an update.
         horizon: Actions whose rewards are summed before the critic is asked (n-step returns).
         reward_scale: What multiplies rewards before the critic sees them.
@@ -37,8 +39,12 @@ class LearnerConfig:
             loss it is: 10). They are most of an update's time.
         alpha: Of the alpha-divergence loss (AC-Teach: 0.5).
         precision: Of an observed return in that loss, AC-Teach's tau, in scaled units.
-        saturation_penalty: Weight of the mean square of the actor's output before the tanh.
+        saturation_penalty: Weight of the mean square of the actor's output before the tanh, or of
+            the distance of its length from 1 where that is normalised.
         normalise_value: Divide the actor's loss by the mean |Q|, so that scales do not matter.
+        imitation: Weight, beside that loss, of what draws the actor to the directions in which
+            teachers went (behaviour cloning beside a policy gradient: Nair et al. 2018); 0 is the
+            paper's loss.
         max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
         target_action: Whose action the Bellman target takes in the next state: the "actor"'s (as
             the paper prints) or the one "recorded" there, which values the behaviour (AC-Teach's
@@ -50,8 +56,9 @@ class LearnerConfig:
 
     actor_rate: float = 3e-4
     critic_rate: float = 1e-3
-    gamma: float = 0.9
+    gamma: float = 0.97
     tau: float = 0.01
+    actor_tau: float = 0.002
     batch: int = 64
     horizon: int = 1
     reward_scale: float = 0.1
@@ -62,11 +69,12 @@ class LearnerConfig:
     precision: float = 10.0
     saturation_penalty: float = 0.003
     normalise_value: bool = True
+    imitation: float = 3.0
     max_gradient: float = 10.0
     target_action: str = "actor"
     pessimism: float = 0.0
-    symmetry: bool = False
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    symmetry: bool = True
+    network: NetworkConfig = field(default_factory=lambda: NetworkConfig(directions=True))
 
     def __post_init__(self) -> None:
         for name in ("actor_rate", "critic_rate", "alpha", "precision", "reward_scale"):
@@ -75,7 +83,7 @@ class LearnerConfig:
         for name in ("batch", "horizon", "samples", "update_samples"):
             if getattr(self, name) < 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
-        for name in ("gamma", "tau"):
+        for name in ("gamma", "tau", "actor_tau"):
             if not 0 < getattr(self, name) <= 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected (0, 1]")
         if self.target_action not in TARGET_ACTIONS:
@@ -83,6 +91,8 @@ class LearnerConfig:
                 f"unknown target_action {self.target_action!r}; choose one of "
                 f"{', '.join(TARGET_ACTIONS)}"
             )
+        if self.imitation < 0:
+            raise MechSearchError(f"imitation is {self.imitation}; expected at least 0")
         if self.pessimism < 0 or (self.pessimism and not self.dropout):
             raise MechSearchError(
                 f"pessimism is {self.pessimism} with dropout {self.dropout}; expected at least 0, "
@@ -103,6 +113,22 @@ class TensorBatch:
     next_obs: Tensors
     next_action: Tensor
     next_known: Tensor
+    guided: Tensor
+
+
+def straying(action: Tensor, recorded: Tensor, guided: Tensor) -> Tensor:
+    """Return 1 less the cosine between actions and what teachers did, averaged over the latter.
+
+    Directions are compared and not squared distances, since teachers disagree: the mean of their
+    actions is a short one, and an actor that learnt it would hover.
+
+    Args:
+        action: The actor's (B, 3).
+        recorded: Executed actions (B, 3).
+        guided: Which of them were a teacher's (B,); with none, the result is 0.
+    """
+    aligned = nn.functional.cosine_similarity(action, recorded, dim=1)
+    return ((1 - aligned) * guided).sum() / guided.sum().clamp_min(1)
 
 
 def alpha_divergence(errors: Tensor, alpha: float, precision: float) -> Tensor:
@@ -143,6 +169,7 @@ class Learner:
         self.actor_optimizer = _adam(self.actor, config.actor_rate)
         self.critic_optimizer = _adam(self.critic, config.critic_rate)
         self.generator = torch.Generator().manual_seed(seed)
+        self.updates = 0
 
     def _masks(self, batch: int) -> list[Tensor]:
         if not self.config.dropout:
@@ -171,6 +198,7 @@ class Learner:
             after,
             after.pop("action"),
             torch.as_tensor(batch.next_known),
+            torch.as_tensor(batch.guided),
         )
 
     def bellman_target(self, batch: TensorBatch) -> Tensor:
@@ -207,8 +235,8 @@ class Learner:
 
     def update_actor(self, batch: TensorBatch) -> Metrics:
         """Take one step towards actions of higher Q; return the loss and how saturated it is."""
-        output = self.actor.pre_tanh(batch.obs)
-        action = torch.tanh(output)
+        output = self.actor.raw(batch.obs)
+        action = self.actor.squash(output)
         with torch.no_grad():
             features = self.critic.encode(batch.obs)
         # The critic only passes the gradient on: its own would cost a third of the time.
@@ -216,13 +244,18 @@ class Learner:
         q = self.critic.value(features, action, self._masks(len(action)))
         self.critic.requires_grad_(True)
         scale = q.detach().abs().mean() if self.config.normalise_value else 1.0
-        penalty = output.square().mean()
-        loss = -q.mean() / (scale + 1e-6) + self.config.saturation_penalty * penalty
+        strays = straying(action, batch.action, batch.guided)
+        loss = (
+            -q.mean() / (scale + 1e-6)
+            + self.config.imitation * strays
+            + self.config.saturation_penalty * self.actor.excess(output)
+        )
         length = self._step(self.actor_optimizer, self.actor, loss)
         return {
             "actor_loss": loss.item(),
             "actor_gradient": length,
-            "pre_tanh": output.detach().abs().mean().item(),
+            "strays": strays.item(),
+            "output": output.detach().abs().mean().item(),
             "saturated": (action.detach().abs() > 0.99).float().mean().item(),
         }
 
@@ -236,16 +269,20 @@ class Learner:
 
     @torch.no_grad()
     def update_target(self) -> None:
-        """Move both target networks a share tau towards their networks."""
-        pairs = ((self.actor, self.actor_target), (self.critic, self.critic_target))
-        for network, target in pairs:
-            torch._foreach_lerp_(
-                list(target.parameters()), list(network.parameters()), self.config.tau
-            )
+        """Move both target networks their share towards their networks."""
+        self.updates += 1
+        for network, target, tau in (
+            (self.actor, self.actor_target, max(self.config.actor_tau, 1 / self.updates)),
+            (self.critic, self.critic_target, self.config.tau),
+        ):
+            torch._foreach_lerp_(list(target.parameters()), list(network.parameters()), tau)
 
     def state(self) -> dict[str, Tensor]:
         """Return all that a resume needs, by name."""
-        state = {"generator": self.generator.get_state()}
+        state = {
+            "generator": self.generator.get_state(),
+            "updates": torch.tensor(self.updates),
+        }
         for name, network in self._networks().items():
             state |= prefixed(name, network.state_dict())
         for name, optimizer in self._optimizers().items():
@@ -263,6 +300,7 @@ class Learner:
         for name, optimizer in self._optimizers().items():
             fill_optimizer(optimizer, part(state, name))
         self.generator.set_state(state["generator"])
+        self.updates = int(state["updates"])
 
     def _networks(self) -> dict[str, nn.Module]:
         names = ("actor", "critic", "actor_target", "critic_target")

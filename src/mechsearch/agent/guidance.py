@@ -12,17 +12,21 @@ from mechsearch.types import Floats, MechSearchError
 
 @dataclass(frozen=True)
 class GuidanceConfig:
-    """How readily the behaviour changes hands (AC-Teach: 0.6, 0.99).
+    """How readily the behaviour changes hands.
+
+    AC-Teach's threshold of 0.6 cuts most pushes short, and half a push is worth little and teaches
+    little; with 1 an episode is mostly one candidate's, unless another is far better.
 
     Attributes:
         threshold: Probability of improvement above which another candidate takes over.
-        decay: What multiplies the threshold each time a better sample was overruled.
-        precision: Precision of an observed return, AC-Teach's tau, in the critic's units.
+        decay: What multiplies the threshold each time a better sample was overruled (AC-Teach).
+        precision: Precision of an observed return, AC-Teach's tau: 10 where rewards are scaled by
+            0.1, in units of the reward itself.
     """
 
-    threshold: float = 0.6
+    threshold: float = 1.0
     decay: float = 0.99
-    precision: float = 10.0
+    precision: float = 0.1
 
     def __post_init__(self) -> None:
         if not (0 <= self.threshold <= 1 and 0 < self.decay <= 1 and self.precision > 0):

@@ -35,6 +35,8 @@ class NetworkConfig:
         offset_gain: What multiplies positions and offsets [1/m].
         bfloat16: Compute training passes in bfloat16, except the last layer; faster only on
             processors that multiply such matrices themselves.
+        directions: An action is a direction and always of full length: the actor's output is
+            normalised instead of squashed by a tanh along each axis (paper).
     """
 
     kernels: tuple[int, ...] = (6, 3, 3)
@@ -49,6 +51,7 @@ class NetworkConfig:
     depth_gain: float = 10.0
     offset_gain: float = 4.0
     bfloat16: bool = False
+    directions: bool = False
 
     def __post_init__(self) -> None:
         if not len(self.kernels) == len(self.strides) == len(self.paddings):
@@ -168,16 +171,27 @@ class Actor(nn.Module):
         """Observation keys that the actor reads."""
         return tuple(self.shapes)
 
-    def pre_tanh(self, obs: Tensors) -> Tensor:
-        """Return what the tanh will squash, (B, 3)."""
+    def raw(self, obs: Tensors) -> Tensor:
+        """Return the last layer's output (B, 3), which `squash` makes an action."""
         with torch.autocast("cpu", torch.bfloat16, self.config.bfloat16 and self.training):
             hidden = self.trunk(self.encoder(obs))
         out: Tensor = self.output(hidden.float())
         return out
 
+    def squash(self, raw: Tensor) -> Tensor:
+        """Return actions (B, 3) in [-1, 1] from `raw` output."""
+        return nn.functional.normalize(raw, dim=-1) if self.config.directions else torch.tanh(raw)
+
+    def excess(self, raw: Tensor) -> Tensor:
+        """Return how far raw output is from where it is best to learn, a mean over the batch."""
+        if self.config.directions:
+            # The gradient of a direction falls with the length of what is normalised.
+            return (raw.norm(dim=-1) - 1).square().mean()
+        return raw.square().mean()
+
     def forward(self, obs: Tensors) -> Tensor:
         """Return actions (B, 3) in [-1, 1]; 1 is the longest step along a workspace axis."""
-        return torch.tanh(self.pre_tanh(obs))
+        return self.squash(self.raw(obs))
 
 
 class Critic(nn.Module):

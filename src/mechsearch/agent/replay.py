@@ -23,6 +23,7 @@ class Batch:
         next_obs: Observations n actions later, or where the episode stopped before.
         next_action: What was executed there (B, 3).
         next_known: Whether anything was (B,): nothing is at an episode's end.
+        guided: Whether a teacher acted, not the actor (B,).
     """
 
     obs: dict[str, Array]
@@ -32,6 +33,7 @@ class Batch:
     next_obs: dict[str, Array]
     next_action: NDArray[np.float32]
     next_known: NDArray[np.bool_]
+    guided: NDArray[np.bool_]
 
 
 class Replay:
@@ -61,6 +63,7 @@ class Replay:
         self.action = np.zeros((capacity, 3), np.float32)
         self.reward = np.zeros(capacity, np.float32)
         self.discount = np.zeros(capacity, np.float32)
+        self.guided = np.zeros(capacity, bool)
         self.complete = np.zeros(capacity, bool)
         self._cursor = 0
         self._pending = -1
@@ -70,7 +73,12 @@ class Replay:
         return int(self.complete.sum())
 
     def add(
-        self, obs: Observation, action: NDArray[np.float32], reward: float, discount: float
+        self,
+        obs: Observation,
+        action: NDArray[np.float32],
+        reward: float,
+        discount: float,
+        guided: bool = False,
     ) -> None:
         """Store a transition; the next call of `add` or `end` stores where it led.
 
@@ -79,9 +87,11 @@ class Replay:
             action: What was executed (3,), in [-1, 1].
             reward: What it earned.
             discount: 0 if the episode terminated, else the discount factor.
+            guided: Whether a teacher acted.
         """
         row = self._write(obs)
         self.action[row], self.reward[row], self.discount[row] = action, reward, discount
+        self.guided[row] = guided
         self._pending = row
 
     def end(self, obs: Observation) -> None:
@@ -123,6 +133,7 @@ class Replay:
             {key: store[last] for key, store in self.obs.items()},
             self.action[last],
             self.complete[last],
+            self.guided[start],
         )
 
     def _look_ahead(self, start: Array, horizon: int) -> tuple[Array, Array, Array]:
@@ -167,7 +178,7 @@ class Replay:
         self._cursor, self._pending = (int(value) for value in state["place"])
 
 
-_NAMES = ("action", "reward", "discount", "complete")
+_NAMES = ("action", "reward", "discount", "guided", "complete")
 
 
 def require_memory(size: int, purpose: str) -> None:

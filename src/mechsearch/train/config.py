@@ -139,7 +139,8 @@ class TrainConfig:
             )
         if self.learner.symmetry and self.camera != "overhead":
             raise MechSearchError(
-                f"symmetry needs the overhead camera; the camera is {self.camera!r}"
+                f"learner.symmetry needs the overhead camera; the camera is {self.camera!r}: "
+                "choose the other, or symmetry False"
             )
 
     def _check_pushes(self) -> None:

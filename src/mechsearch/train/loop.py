@@ -47,12 +47,12 @@ def train(
     def look() -> dict[str, float]:
         session.update()
         log.write_speed(session.step, speed.lap(session.step, session.counts["updates"]))
-        policy = ActorPolicy(session.learner.actor, session.step)
+        policy = ActorPolicy(session.learner.actor_target, session.step)
         run.save_actor(session.step, policy)
         return evaluate(policy, session.step, parts.evaluators, log)
 
     if session.step == 0 and config.held_out_heaps:
-        scores = evaluate(ActorPolicy(session.learner.actor), 0, parts.evaluators, log)
+        scores = evaluate(ActorPolicy(session.learner.actor_target), 0, parts.evaluators, log)
     with background() as thread:
         while session.step < config.actions:
             begins = session.begins_block

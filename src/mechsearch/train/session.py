@@ -101,7 +101,9 @@ class Session:
             self.replay.end(done.obs)
             return
         discount = 0.0 if done.terminated else self.config.learner.gamma
-        self.replay.add(done.obs, done.decision.action, done.reward, discount)
+        decision = done.decision
+        guided = decision.choice > 0
+        self.replay.add(done.obs, decision.action, done.reward, discount, guided)
         if done.over:
             self.replay.end(done.after)
 

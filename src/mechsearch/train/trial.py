@@ -1,5 +1,6 @@
 """A training run from files, and the record of what it was made from."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -44,7 +45,7 @@ class TrialInputs:
             MechSearchError: If it has no record of that.
         """
         record = _read(directory)
-        return cls(Path(record["heaps"]), record["objects"])
+        return cls(directory / record["heaps"], record["objects"])
 
 
 def run_trial(
@@ -93,6 +94,17 @@ def crossings(directory: Path) -> list[str]:
     return [text for before, now in pairwise(history) for text in crossed(before, now)]
 
 
+def _from(directory: Path, file: Path) -> str:
+    """Return where a file is: as seen from the run, where both are in the folder of work.
+
+    A repository that holds both can then lie anywhere.
+    """
+    here = Path.cwd()
+    if directory.is_relative_to(here) and file.is_relative_to(here):
+        return Path(os.path.relpath(file, directory)).as_posix()
+    return str(file)
+
+
 def _record(
     inputs: TrialInputs,
     heap_set: HeapSet,
@@ -120,7 +132,7 @@ def _record(
             write_record(file, _PURPOSE, record | {_HISTORY: [*history, now]})
     elif not (directory / CONFIG_FILE).exists():
         record = {
-            "heaps": str(inputs.heaps.resolve()),
+            "heaps": _from(directory.resolve(), inputs.heaps.resolve()),
             "heap_set": heap_set.hash,
             "objects": inputs.objects or str(heap_set.manifest["config"]["objects"]),
             _HISTORY: [now],
