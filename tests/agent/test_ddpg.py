@@ -20,7 +20,7 @@ FULL = NetworkConfig(bfloat16=False)
 
 def learner(seed=0, actor=ACTOR, **changes):
     torch.manual_seed(seed)
-    settings = {"samples": 7, "batch": 32, "network": SMALL, **changes}
+    settings = {"samples": 7, "batch": 32, "network": SMALL, "symmetry": False, **changes}
     return Learner(actor, CRITIC, LearnerConfig(**settings), seed)
 
 

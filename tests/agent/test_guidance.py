@@ -19,7 +19,10 @@ def samples(*means, spread=0.01, count=50):
     return np.random.default_rng(0).normal(means, spread, (count, len(means)))
 
 
-def committed_to(index, config=GuidanceConfig()):  # noqa: B008
+AC_TEACH = GuidanceConfig(threshold=0.6, decay=0.99, precision=10.0)
+
+
+def committed_to(index, config=AC_TEACH):
     guidance = Guidance(config)
     means = np.zeros(3)
     means[index] = 10
@@ -28,11 +31,18 @@ def committed_to(index, config=GuidanceConfig()):  # noqa: B008
 
 
 def test_the_first_choice_is_the_best_sample():
-    assert Guidance(GuidanceConfig()).choose(samples(0, 5, 1), np.random.default_rng(0)) == 1
+    assert Guidance(AC_TEACH).choose(samples(0, 5, 1), np.random.default_rng(0)) == 1
 
 
 def test_switches_when_the_candidate_is_clearly_better():
     assert committed_to(0).choose(samples(0, 1, 0), np.random.default_rng(0)) == 1
+
+
+def test_pushes_are_finished_unless_another_candidate_is_far_better():
+    # In the end Phi(3 / sqrt(10)) = 0.829 exceeds 0.99 ** t, from t = 19 on.
+    guidance, draws = committed_to(0, GuidanceConfig()), samples(0, 3, -5, spread=0)
+    chosen = [guidance.choose(draws, np.random.default_rng(0)) for _ in range(25)]
+    assert chosen == [0] * 19 + [1] * 6
 
 
 def test_stays_when_the_candidate_is_clearly_worse():
@@ -73,12 +83,12 @@ def test_an_episode_begins_uncommitted():
 
 def test_all_candidates_are_scored_by_one_draw():
     draws = np.array([[0.0, 1.0], [9.0, 8.0]])
-    assert Guidance(GuidanceConfig()).choose(draws, _picks(1)) == 0
-    assert Guidance(GuidanceConfig()).choose(draws, _picks(0)) == 1
+    assert Guidance(AC_TEACH).choose(draws, _picks(1)) == 0
+    assert Guidance(AC_TEACH).choose(draws, _picks(0)) == 1
 
 
 def test_a_single_candidate_always_acts():
-    guidance = Guidance(GuidanceConfig())
+    guidance = Guidance(AC_TEACH)
     assert {guidance.choose(samples(3), np.random.default_rng(i)) for i in range(5)} == {0}
 
 
@@ -116,7 +126,7 @@ def test_impossible_guidance_is_refused(wrong):
 @given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.integers(1, 30))
 def test_hands_change_to_the_better_and_never_to_the_worse(seed, candidates, turns):
     rng = np.random.default_rng(seed)
-    guidance = Guidance(GuidanceConfig())
+    guidance = Guidance(AC_TEACH)
     for _ in range(turns):
         draws = rng.normal(rng.normal(0, 2, candidates), rng.uniform(0.01, 3), (20, candidates))
         before, bar = guidance.current, 0.6 * 0.99**guidance.overruled

@@ -36,7 +36,8 @@ def agent():
     """A learner whose targets are far from zero and from its networks."""
     torch.manual_seed(0)
     network = NetworkConfig(hidden=(16, 16))
-    learner = Learner(ACTOR, CRITIC, LearnerConfig(gamma=GAMMA, network=network), 0)
+    config = LearnerConfig(gamma=GAMMA, network=network, symmetry=False)
+    learner = Learner(ACTOR, CRITIC, config, 0)
     for part in (learner.actor, learner.critic, learner.actor_target, learner.critic_target):
         torch.nn.init.normal_(part.output.weight)
     return learner

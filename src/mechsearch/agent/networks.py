@@ -186,7 +186,7 @@ class Actor(nn.Module):
         """Return how far raw output is from where it is best to learn, a mean over the batch."""
         if self.config.directions:
             # The gradient of a direction falls with the length of what is normalised.
-            return (raw.norm(dim=-1) - 1).square().mean()
+            raw = raw.norm(dim=-1) - 1
         return raw.square().mean()
 
     def forward(self, obs: Tensors) -> Tensor:
