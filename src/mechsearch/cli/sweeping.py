@@ -48,6 +48,7 @@ class Sweep(Command):
         final_heaps: Held-out heaps of the final scores.
         grasps: Whether final episodes are measured by graspability and retrieval too.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
+        only: Names of the jobs to carry out now, such as 'single/method-seed*'; all by default.
         workers: Jobs at a time, one process each.
         ray: Spread the jobs by Ray instead.
         ray_address: Of a Ray cluster that sees the folder; "auto" finds one that runs.
@@ -69,6 +70,7 @@ class Sweep(Command):
     final_heaps: int | None = None
     grasps: bool | None = None
     grasp_network: Path | None = None
+    only: tuple[str, ...] = ()
     workers: int = WORKERS
     ray: bool = False
     ray_address: str = ""
@@ -88,7 +90,8 @@ class Sweep(Command):
             load_network(_network(plan))
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             long = map_long_work if mapper is map_in_order else mapper
-            found = carry_out(plan, self.out, workers, long, Grasped(_network(plan)), _Teller())
+            grasp, tell = Grasped(_network(plan)), _Teller()
+            found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
         say(to_text(_table(found)))
         _say_failures(found)
         wrote(folder.summary)

@@ -13,7 +13,7 @@ from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, RAISED, Journal, Past
 from mechsearch.experiments.plan import SweepPlan, open_plan
-from mechsearch.experiments.schedule import Chain, chains_of, next_wave
+from mechsearch.experiments.schedule import Chain, chains_of, chosen, next_wave
 from mechsearch.experiments.status import SweepStatus, inspected, status
 from mechsearch.experiments.sweep import run_all
 from mechsearch.experiments.trials import Grasp, Scoring, finished_runs
@@ -68,6 +68,7 @@ def carry_out(
     mapper: Mapper = map_in_order,
     grasp: Grasp | None = None,
     tell: Tell = lambda status: None,
+    only: Sequence[str] = (),
 ) -> SweepStatus:
     """Carry out a plan in a folder, or what is left of it; return how far it is.
 
@@ -81,9 +82,11 @@ def carry_out(
         mapper: How jobs are spread: on this machine, or over a Ray cluster that sees the folder.
         grasp: Measures graspability and retrieval, where the plan asks for it.
         tell: Told the status now and then, from another thread.
+        only: Patterns of the names of those jobs that are wanted now; all, if there are none.
 
     Raises:
-        MechSearchError: If another sweep works in the folder, or the folder is of another plan.
+        MechSearchError: If another sweep works in the folder, the folder is of another plan, or a
+            pattern is no job's.
     """
     folder = SweepFolder(path)
     try:
@@ -93,7 +96,7 @@ def carry_out(
                     f"another sweep is at work in {path}; wait for its end, or stop it"
                 )
             open_plan(plan, folder)
-            chains = chains_of(plan, folder, grasp)
+            chains = chosen(chains_of(plan, folder, grasp), only)
             return _carry_out_all(plan, chains, folder, workers, mapper, tell)
     except (OSError, NotWrittenError) as error:
         raise MechSearchError(

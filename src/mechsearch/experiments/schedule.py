@@ -1,5 +1,6 @@
 """The jobs of a plan, and in which order they are carried out."""
 
+import fnmatch
 from collections.abc import Collection, Sequence
 
 from mechsearch.experiments.folder import SweepFolder
@@ -7,6 +8,7 @@ from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.experiments.preparation import Heaps
 from mechsearch.experiments.trials import Grasp, ReferenceScoring, RunScoring, Training
+from mechsearch.types import MechSearchError
 
 Chain = tuple[Job, ...]
 """Jobs that are carried out one after another by the same worker."""
@@ -31,6 +33,28 @@ def chains_of(plan: SweepPlan, folder: SweepFolder, grasp: Grasp | None = None) 
                 run = Training(plan, folder, condition, variant, seed)
                 chains.append((run, RunScoring(plan, folder, condition, grasp, run)))
     return chains
+
+
+def chosen(chains: Sequence[Chain], only: Sequence[str]) -> list[Chain]:
+    """Return the chains with those of their jobs alone that are wanted.
+
+    Args:
+        chains: All, in their order.
+        only: Patterns of names, such as "single/method-seed*"; none wants all.
+
+    Raises:
+        MechSearchError: If a pattern is no job's.
+    """
+    names = [job.name for chain in chains for job in chain]
+    for pattern in only:
+        if not fnmatch.filter(names, pattern):
+            raise MechSearchError(
+                f"no job of this sweep is called {pattern!r}; there are {len(names)}, from "
+                f"{names[0]!r} to {names[-1]!r}"
+            )
+    wanted = {n for pattern in only for n in fnmatch.filter(names, pattern)} if only else set(names)
+    kept = (tuple(job for job in chain if job.name in wanted) for chain in chains)
+    return [chain for chain in kept if chain]
 
 
 def next_wave(chains: Sequence[Chain], done: Collection[str], tried: set[Chain]) -> list[Chain]:
