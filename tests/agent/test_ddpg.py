@@ -24,7 +24,7 @@ def learner(seed=0, actor=ACTOR, **changes):
     return Learner(actor, CRITIC, LearnerConfig(**settings), seed)
 
 
-def batch(size=16, reward=0.0, discount=0.9, guided=False):
+def batch(size=16, reward=0.0, discount=0.9, taught=False):
     generator = torch.Generator().manual_seed(0)
 
     def rand():
@@ -34,7 +34,7 @@ def batch(size=16, reward=0.0, discount=0.9, guided=False):
     after = {"ee_position": rand(), "target_offset": rand()}
     full = torch.full((size,), reward), torch.full((size,), discount)
     known = torch.arange(size) % 2 == 0
-    taught = torch.full((size,), guided)
+    taught = torch.full((size,), taught)
     return TensorBatch(obs, rand() * 2 - 1, *full, after, rand() * 2 - 1, known, taught)
 
 
@@ -136,7 +136,7 @@ def test_straying_is_one_less_the_mean_cosine_to_what_teachers_did():
 def test_teachers_that_disagree_do_not_shorten_what_is_learnt_from_them():
     # Two thirds go right, a third goes left: squared distances would teach a third of a step.
     agent = learner(imitation=100.0, network=DIRECTIONS, actor_rate=1e-2)
-    data = batch(size=30, guided=True)
+    data = batch(size=30, taught=True)
     left = (torch.arange(30) % 3 == 0).float()[:, None]
     data = replace(data, action=torch.tensor([[1.0, 0.0, 0.0]]) * (1 - 2 * left))
     alike = {key: torch.ones_like(value) for key, value in data.obs.items()}
@@ -263,6 +263,7 @@ def test_symmetric_training_turns_observation_and_action_together():
         {"dropout": 1.0},
         {"actor_rate": -1},
         {"imitation": -1},
+        {"worst": 1.0},
     ],
 )
 def test_impossible_settings_are_refused(wrong):

@@ -40,13 +40,39 @@ def test_a_transition_is_a_row_and_its_next_observation_the_next_row():
     np.testing.assert_array_equal(batch.reward, batch.obs["who"] @ [10, 1])
 
 
-def test_who_acted_stays_with_what_was_done():
+def test_what_teachers_did_is_taught_once_its_episode_is_over():
     replay = empty()
     play(replay, 1, 5, terminated=True)
     play(replay, 2, 3, terminated=False)
+    replay.add(frame(3, 0), np.zeros(3, np.float32), 0.0, GAMMA, guided=True)
+    replay.add(frame(3, 1), np.zeros(3, np.float32), 0.0, GAMMA, guided=True)
     for horizon in (1, 3):
         batch = replay.sample(300, np.random.default_rng(0), horizon)
-        np.testing.assert_array_equal(batch.guided, batch.obs["who"].sum(1) % 3 == 0)
+        guided = batch.obs["who"].sum(1) % 3 == 0
+        np.testing.assert_array_equal(batch.taught, guided & (batch.obs["who"][:, 0] < 3))
+
+
+def lesson(replay, number, rewards, whole=True):
+    for step, reward in enumerate(rewards):
+        replay.add(frame(number, step), np.zeros(3, np.float32), reward, GAMMA, guided=True)
+    replay.end(frame(number, len(rewards)), whole)
+
+
+@pytest.mark.parametrize("capacity", [1000, 12])
+def test_nothing_is_taught_from_the_episodes_of_lowest_return(capacity):
+    shapes = {"depth": (1, 2, 2), "who": (2,)}
+    replay = Replay(shapes, {"depth": np.float16, "who": np.int64}, capacity, worst=0.5)
+    lesson(replay, 0, [-9, -9])
+    lesson(replay, 1, [-1, -1])
+    lesson(replay, 2, [-5, -5])
+    lesson(replay, 3, [-2, -1])
+    lesson(replay, 4, [0], whole=False)  # cut off by a failure: nobody knows how it went
+    again = Replay(shapes, {"depth": np.float16, "who": np.int64}, capacity, worst=0.5)
+    again.restore(replay.state())
+    for kept in (replay, again):
+        batch = kept.sample(300, np.random.default_rng(0))
+        assert set(batch.obs["who"][batch.taught, 0]) == {1, 3}
+        assert set(batch.obs["who"][~batch.taught, 0]) >= {2, 4}
 
 
 def test_what_was_done_next_is_known_except_at_an_episodes_end():
@@ -139,7 +165,7 @@ def test_a_short_run_stores_only_used_rows():
 def test_after_an_episode_nothing_waits_for_its_next_observation():
     replay = empty()
     play(replay, 0, 3, terminated=True)
-    assert replay.state()["place"].tolist() == [4, -1]
+    assert replay.state()["place"].tolist() == [4, -1, 0]
 
 
 def test_state_of_other_observations_is_refused():

@@ -45,6 +45,8 @@ class LearnerConfig:
         imitation: Weight, beside that loss, of what draws the actor to the directions in which
             teachers went (behaviour cloning beside a policy gradient: Nair et al. 2018); 0 is the
             paper's loss.
+        worst: Share of all that was done, that of the episodes of lowest return, which is not
+            imitated.
         max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
         target_action: Whose action the Bellman target takes in the next state: the "actor"'s (as
             the paper prints) or the one "recorded" there, which values the behaviour (AC-Teach's
@@ -70,6 +72,7 @@ class LearnerConfig:
     saturation_penalty: float = 0.003
     normalise_value: bool = True
     imitation: float = 3.0
+    worst: float = 0.4
     max_gradient: float = 10.0
     target_action: str = "actor"
     pessimism: float = 0.0
@@ -91,8 +94,11 @@ class LearnerConfig:
                 f"unknown target_action {self.target_action!r}; choose one of "
                 f"{', '.join(TARGET_ACTIONS)}"
             )
-        if self.imitation < 0:
-            raise MechSearchError(f"imitation is {self.imitation}; expected at least 0")
+        if self.imitation < 0 or not 0 <= self.worst < 1:
+            raise MechSearchError(
+                f"imitation is {self.imitation} and worst {self.worst}; expected at least 0, and a "
+                "share below 1"
+            )
         if self.pessimism < 0 or (self.pessimism and not self.dropout):
             raise MechSearchError(
                 f"pessimism is {self.pessimism} with dropout {self.dropout}; expected at least 0, "
@@ -113,10 +119,10 @@ class TensorBatch:
     next_obs: Tensors
     next_action: Tensor
     next_known: Tensor
-    guided: Tensor
+    taught: Tensor
 
 
-def straying(action: Tensor, recorded: Tensor, guided: Tensor) -> Tensor:
+def straying(action: Tensor, recorded: Tensor, taught: Tensor) -> Tensor:
     """Return 1 less the cosine between actions and what teachers did, averaged over the latter.
 
     Directions are compared and not squared distances, since teachers disagree: the mean of their
@@ -125,10 +131,10 @@ def straying(action: Tensor, recorded: Tensor, guided: Tensor) -> Tensor:
     Args:
         action: The actor's (B, 3).
         recorded: Executed actions (B, 3).
-        guided: Which of them were a teacher's (B,); with none, the result is 0.
+        taught: Which of them to learn (B,); with none, the result is 0.
     """
     aligned = nn.functional.cosine_similarity(action, recorded, dim=1)
-    return ((1 - aligned) * guided).sum() / guided.sum().clamp_min(1)
+    return ((1 - aligned) * taught).sum() / taught.sum().clamp_min(1)
 
 
 def alpha_divergence(errors: Tensor, alpha: float, precision: float) -> Tensor:
@@ -198,7 +204,7 @@ class Learner:
             after,
             after.pop("action"),
             torch.as_tensor(batch.next_known),
-            torch.as_tensor(batch.guided),
+            torch.as_tensor(batch.taught),
         )
 
     def bellman_target(self, batch: TensorBatch) -> Tensor:
@@ -244,7 +250,7 @@ class Learner:
         q = self.critic.value(features, action, self._masks(len(action)))
         self.critic.requires_grad_(True)
         scale = q.detach().abs().mean() if self.config.normalise_value else 1.0
-        strays = straying(action, batch.action, batch.guided)
+        strays = straying(action, batch.action, batch.taught)
         loss = (
             -q.mean() / (scale + 1e-6)
             + self.config.imitation * strays

@@ -23,7 +23,7 @@ class Batch:
         next_obs: Observations n actions later, or where the episode stopped before.
         next_action: What was executed there (B, 3).
         next_known: Whether anything was (B,): nothing is at an episode's end.
-        guided: Whether a teacher acted, not the actor (B,).
+        taught: Whether a teacher acted, in an episode that went well (B,).
     """
 
     obs: dict[str, Array]
@@ -33,7 +33,7 @@ class Batch:
     next_obs: dict[str, Array]
     next_action: NDArray[np.float32]
     next_known: NDArray[np.bool_]
-    guided: NDArray[np.bool_]
+    taught: NDArray[np.bool_]
 
 
 class Replay:
@@ -48,8 +48,16 @@ class Replay:
         shapes: Mapping[str, tuple[int, ...]],
         dtypes: Mapping[str, DTypeLike],
         capacity: int,
+        worst: float = 0.0,
     ) -> None:
         """Reserve the rows.
+
+        Args:
+            shapes: Of each observation key.
+            dtypes: Likewise.
+            capacity: Number of rows.
+            worst: Share of all that was done, that of the episodes of lowest return, from which
+                nothing is `taught`.
 
         Raises:
             MechSearchError: If they do not fit into the machine's memory.
@@ -64,9 +72,11 @@ class Replay:
         self.reward = np.zeros(capacity, np.float32)
         self.discount = np.zeros(capacity, np.float32)
         self.guided = np.zeros(capacity, bool)
+        self.outcome = np.full(capacity, np.nan, np.float32)
         self.complete = np.zeros(capacity, bool)
-        self._cursor = 0
-        self._pending = -1
+        self.worst = worst
+        self._cursor, self._pending, self._begun = 0, -1, 0
+        self._good = -np.inf
 
     def __len__(self) -> int:
         """Number of transitions that can be drawn."""
@@ -89,21 +99,38 @@ class Replay:
             discount: 0 if the episode terminated, else the discount factor.
             guided: Whether a teacher acted.
         """
+        if self._pending < 0:
+            self._begun = self._cursor
         row = self._write(obs)
         self.action[row], self.reward[row], self.discount[row] = action, reward, discount
         self.guided[row] = guided
         self._pending = row
 
-    def end(self, obs: Observation) -> None:
-        """Store the last observation of an episode, terminated or truncated."""
+    def end(self, obs: Observation, whole: bool = True) -> None:
+        """Store the last observation of an episode, terminated or truncated.
+
+        Args:
+            obs: The observation.
+            whole: Whether the episode was not cut off by a failure, so that its return counts.
+        """
+        length = (self._cursor - self._begun) % self.capacity
+        rows = (self._begun + np.arange(length)) % self.capacity
+        if self._pending >= 0 and whole:
+            self.outcome[rows] = self.reward[rows].sum()
         self._write(obs)
         self._pending = -1
+        self._judge()
+
+    def _judge(self) -> None:
+        """Find the return from which on an episode has gone well."""
+        known = self.outcome[self.complete & ~np.isnan(self.outcome)]
+        self._good = float(np.quantile(known, self.worst)) if len(known) else -np.inf
 
     def _write(self, obs: Observation) -> int:
         row = self._cursor
         if self._pending >= 0:
             self.complete[self._pending] = True
-        self.complete[row] = False
+        self.complete[row], self.outcome[row] = False, np.nan
         for key, store in self.obs.items():
             store[row] = obs[key]
         self._cursor = (row + 1) % self.capacity
@@ -133,7 +160,7 @@ class Replay:
             {key: store[last] for key, store in self.obs.items()},
             self.action[last],
             self.complete[last],
-            self.guided[start],
+            self.guided[start] & (self.outcome[start] >= self._good),
         )
 
     def _look_ahead(self, start: Array, horizon: int) -> tuple[Array, Array, Array]:
@@ -152,7 +179,7 @@ class Replay:
         stored = {f"obs.{key}": store[:used] for key, store in self.obs.items()}
         for name in _NAMES:
             stored[name] = getattr(self, name)[:used]
-        return {**stored, "place": np.array([self._cursor, self._pending])}
+        return {**stored, "place": np.array([self._cursor, self._pending, self._begun])}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Take back what `state` returned.
@@ -175,10 +202,11 @@ class Replay:
                     f"the stored replay's {name} is {stored.shape}; expected at most {target.shape}"
                 )
             target[: len(stored)] = stored
-        self._cursor, self._pending = (int(value) for value in state["place"])
+        self._cursor, self._pending, self._begun = (int(value) for value in state["place"])
+        self._judge()
 
 
-_NAMES = ("action", "reward", "discount", "guided", "complete")
+_NAMES = ("action", "reward", "discount", "guided", "outcome", "complete")
 
 
 def require_memory(size: int, purpose: str) -> None:

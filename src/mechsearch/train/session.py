@@ -40,7 +40,8 @@ class Session:
             config.learner,
             config.seed,
         )
-        self.replay = Replay(shapes, dtypes, min(config.replay_rows, 2 * config.actions + 2))
+        rows = min(config.replay_rows, 2 * config.actions + 2)
+        self.replay = Replay(shapes, dtypes, rows, config.learner.worst)
         seeds = np.random.SeedSequence(config.seed).spawn(3)
         names = ("episodes", "exploration", "batches")
         self.rngs = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
@@ -98,7 +99,7 @@ class Session:
     def _remember(self, done: Transition) -> None:
         if done.info.get("failure"):
             self.counts["failures"] += 1
-            self.replay.end(done.obs)
+            self.replay.end(done.obs, whole=False)
             return
         discount = 0.0 if done.terminated else self.config.learner.gamma
         decision = done.decision
