@@ -299,6 +299,25 @@ def test_the_status_tells_what_is_done_running_and_waiting(few, tmp_path, capsys
     assert status_of(SweepFolder(tmp_path)).line == "3 of 3 jobs done"
 
 
+def test_a_part_can_be_done_first_and_the_rest_later(few, tmp_path):
+    part = carry_out(few, tmp_path, only=["*/scores of r*"])
+    assert states(part) == {"single/scores of random": DONE}
+    assert status_of(SweepFolder(tmp_path)).line.startswith("1 of 2 jobs done")
+    carry_out(few, tmp_path)
+    assert began(tmp_path) == {"single/scores of random": 1, "single/scores of idle": 1}
+
+
+def test_the_scores_of_a_run_that_is_not_there_wait(tiny, tmp_path):
+    plan = replace(tiny, references=(), variants=("method",))
+    found = carry_out(plan, tmp_path, only=["*scores of method*"])
+    assert states(found) == {"single/scores of method-seed0": WAITING}
+
+
+def test_a_part_that_no_job_is_of_is_refused(few, tmp_path):
+    with pytest.raises(MechSearchError, match=r"'dual/\*'.*single/scores of random"):
+        carry_out(few, tmp_path, only=["dual/*"])
+
+
 def test_the_status_of_no_sweep_is_an_error(tmp_path, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["sweep", "--out", str(tmp_path / "absent"), "--status"])

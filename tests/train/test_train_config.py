@@ -22,7 +22,7 @@ def test_presets_come_back_from_their_file(name, tmp_path):
     assert PRESETS[name].name == name
 
 
-def test_ddpg_differs_in_guidance_and_critic_alone():
+def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
     ddpg, method = PRESETS["ddpg"], PRESETS["method"]
     assert ddpg.teachers == ()
     assert ddpg.critic_keys == ddpg.actor_keys == method.actor_keys
@@ -31,7 +31,12 @@ def test_ddpg_differs_in_guidance_and_critic_alone():
         name="method",
         teachers=method.teachers,
         critic_keys=method.critic_keys,
-        learner=replace(ddpg.learner, dropout=method.learner.dropout, samples=50),
+        learner=replace(
+            ddpg.learner,
+            dropout=method.learner.dropout,
+            samples=50,
+            network=replace(ddpg.learner.network, directions=True),
+        ),
     )
     assert same == method
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from mechsearch.agent.ddpg import LearnerConfig
 from mechsearch.agent.exploration import NoiseConfig
 from mechsearch.agent.guidance import GuidanceConfig
+from mechsearch.agent.networks import NetworkConfig
 from mechsearch.agent.push_policy import PushPolicyConfig
 from mechsearch.agent.push_value import PushValueConfig
 from mechsearch.agent.records import record_from_json
@@ -160,11 +161,13 @@ def _at_least(name: str, value: int, least: int) -> None:
 
 def _presets() -> Mapping[str, TrainConfig]:
     method = TrainConfig()
-    ordinary = replace(method.learner, dropout=0.0, samples=1)
+    # Directions serve imitation; where there is nobody to imitate, the actor is the paper's.
+    alone = replace(method.learner, network=NetworkConfig())
+    ordinary = replace(alone, dropout=0.0, samples=1)
     variants = {
         "method": method,
         "ddpg": replace(method, teachers=(), critic_keys=ACTOR_KEYS, learner=ordinary),
-        "no-teachers": replace(method, teachers=()),
+        "no-teachers": replace(method, teachers=(), learner=alone),
         "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
         "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
         "plus": replace(method, teachers=(), pushes=PushLearningConfig(networks=3)),
