@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -103,6 +104,22 @@ def test_what_is_finished_is_not_repeated(whole, tiny):
     assert began(path) == before == dict.fromkeys(before, 1)
     assert [file.stat().st_mtime_ns for file in results] == times
     assert [(path / name).read_bytes() for name in TABLES] == tables
+
+
+def test_an_actor_may_be_gone_once_it_is_scored_and_not_before(whole, tiny, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "sweep")
+    folder = SweepFolder(tmp_path / "sweep")
+    (folder.run("single", "method", 0) / "actor.safetensors").unlink()
+    tables = [(whole[0] / name).read_bytes() for name in TABLES]
+    assert set(states(carry_out(tiny, folder.path)).values()) == {DONE}
+    assert [(folder.path / name).read_bytes() for name in TABLES] == tables
+    assert began(folder.path) == began(whole[0])
+    (scores,) = folder.evaluations("single").glob("method-*.npz")
+    scores.unlink()
+    found = carry_out(tiny, folder.path)
+    assert (
+        "actor.safetensors is not what the run ended with" in reasons(found)["single/method-seed0"]
+    )
 
 
 def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):

@@ -68,8 +68,16 @@ class Training(Job):
         """Its configuration."""
         return self.plan.config(self.variant, self.seed)
 
+    @property
+    def label(self) -> str:
+        """Name, as a pattern, of the recorded episodes of the actor that it ended with."""
+        return f"{self.variant}-seed{self.seed}-[0-9]*"
+
     def is_done(self) -> bool:
-        """Return whether the run is over, and its actor the one that it ended with."""
+        """Return whether the run is over, and its actor the one that it ended with.
+
+        Once its episodes are recorded the actor may be gone: actors are most of a folder's size.
+        """
         self._check_directory()
         file = self.directory / FINISHED_FILE
         if not file.exists():
@@ -79,6 +87,9 @@ class Training(Job):
         log = self.directory / METRICS_FILE
         # Earlier versions kept no digest of the log.
         kept = {actor: finished.get("actor"), log: finished.get("metrics", _digest(log))}
+        scored = any(self.folder.evaluations(self.condition).glob(f"{self.label}.npz"))
+        if scored and not actor.exists():
+            del kept[actor]
         for changed, digest in kept.items():
             if digest is None or _digest(changed) != digest:
                 raise MechSearchError(
@@ -269,7 +280,7 @@ class RunScoring(Scoring):
 
     @property
     def _label(self) -> str:
-        return f"{self.training.variant}-seed{self.training.seed}-[0-9]*"
+        return self.training.label
 
     @property
     def _policy(self) -> str:
