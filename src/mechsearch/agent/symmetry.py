@@ -70,17 +70,6 @@ SYMMETRIES = tuple(Symmetry(*flags) for flags in product((False, True), repeat=3
 """All eight; the first changes nothing."""
 
 
-def transform(batch: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
-    """Return a batch whose sample i is transformed by `SYMMETRIES[which[i]]`.
-
-    Args:
-        batch: Observations and actions by key, (B, ...).
-        which: Index of each sample's symmetry (B,).
-    """
-    out = {key: torch.empty_like(value) for key, value in batch.items()}
-    for index, symmetry in enumerate(SYMMETRIES):
-        rows = torch.nonzero(which == index).squeeze(1)
-        if len(rows):
-            for key, value in batch.items():
-                out[key][rows] = symmetry.of(key, value[rows])
-    return out
+def transform(batch: Mapping[str, Tensor], symmetry: Symmetry) -> dict[str, Tensor]:
+    """Return a batch of observations and actions by key, (B, ...), turned as a whole."""
+    return {key: symmetry.of(key, value) for key, value in batch.items()}
