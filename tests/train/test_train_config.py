@@ -41,6 +41,10 @@ def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
     assert same == method
 
 
+def test_pushes_are_learnt_under_any_camera():
+    assert replace(PRESETS["plus"], camera="tilted").learner.symmetry
+
+
 def test_only_the_no_pose_ablation_changes_what_the_actor_sees():
     changed = {name for name, config in PRESETS.items() if config.actor_keys != ACTOR_KEYS}
     assert changed == {"no-pose-input"}

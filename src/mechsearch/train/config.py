@@ -138,7 +138,8 @@ class TrainConfig:
                 "teachers need a Bayesian critic to choose by: dropout is 0; expected more, "
                 "or no teachers"
             )
-        if self.learner.symmetry and self.camera != "overhead":
+        turned = self.learner.symmetry and not self.pushes.networks
+        if turned and self.camera != "overhead":
             raise MechSearchError(
                 f"learner.symmetry needs the overhead camera; the camera is {self.camera!r}: "
                 "choose the other, or symmetry False"
