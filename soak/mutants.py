@@ -60,12 +60,22 @@ SUBJECTS = (
     ),
     Subject(
         "mechsearch.agent.ddpg",
-        ("alpha_divergence", "bellman_target", "_target_value", "_tensors", "update_target"),
+        ("alpha_divergence", "bellman_target", "_target_value", "_tensors"),
         ("tests/agent/test_targets.py",),
     ),
     Subject(
+        "mechsearch.agent.ddpg",
+        ("straying", "update_target"),
+        (
+            "tests/agent/test_ddpg.py::test_straying_is_one_less_the_mean_cosine_to_what_teachers_did",
+            "tests/agent/test_ddpg.py::test_targets_move_by_the_share_tau",
+            "tests/agent/test_ddpg.py::"
+            "test_the_actor_that_is_evaluated_begins_as_the_mean_of_all_actors",
+        ),
+    ),
+    Subject(
         "mechsearch.agent.replay",
-        ("__len__", "add", "end", "_write", "sample", "_look_ahead"),
+        ("__len__", "add", "end", "_judge", "_write", "sample", "_look_ahead"),
         ("tests/agent/test_replay.py", "tests/agent/test_targets.py"),
     ),
 )

@@ -128,8 +128,10 @@ def test_straying_is_one_less_the_mean_cosine_to_what_teachers_did():
     action = torch.tensor([[1.0, 0, 0], [1, 0, 0], [0, 0.2, 0], [0, 0, -1]])
     recorded = torch.tensor([[0.5, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]])
     everyone, some = torch.ones(4, dtype=torch.bool), torch.tensor([True, True, False, False])
+    one = torch.tensor([False, False, True, False])
     assert straying(action, recorded, everyone).item() == pytest.approx((0 + 1 + 2 + 0) / 4)
     assert straying(action, recorded, some).item() == pytest.approx(0.5)
+    assert straying(action, recorded, one).item() == pytest.approx(2)
     assert straying(action, recorded, ~everyone).item() == 0
 
 

@@ -58,6 +58,12 @@ def lesson(replay, number, rewards, whole=True):
     replay.end(frame(number, len(rewards)), whole)
 
 
+def test_an_episode_of_one_action_is_taught_too():
+    replay = empty()
+    lesson(replay, 0, [-3])
+    assert replay.sample(10, np.random.default_rng(0)).taught.all()
+
+
 @pytest.mark.parametrize("capacity", [1000, 12])
 def test_nothing_is_taught_from_the_episodes_of_lowest_return(capacity):
     shapes = {"depth": (1, 2, 2), "who": (2,)}

@@ -124,7 +124,8 @@ class Replay:
     def _judge(self) -> None:
         """Find the return from which on an episode has gone well."""
         known = self.outcome[self.complete & ~np.isnan(self.outcome)]
-        self._good = float(np.quantile(known, self.worst)) if len(known) else -np.inf
+        if len(known):
+            self._good = float(np.quantile(known, self.worst))
 
     def _write(self, obs: Observation) -> int:
         row = self._cursor
