@@ -113,9 +113,9 @@ class Replay:
             obs: The observation.
             whole: Whether the episode was not cut off by a failure, so that its return counts.
         """
-        length = (self._cursor - self._begun) % self.capacity
-        rows = (self._begun + np.arange(length)) % self.capacity
         if self._pending >= 0 and whole:
+            length = (self._cursor - self._begun) % self.capacity
+            rows = (self._begun + np.arange(length)) % self.capacity
             self.outcome[rows] = self.reward[rows].sum()
         self._write(obs)
         self._pending = -1

@@ -45,14 +45,18 @@ def chosen(chains: Sequence[Chain], only: Sequence[str]) -> list[Chain]:
     Raises:
         MechSearchError: If a pattern is no job's.
     """
+    if not only:
+        return list(chains)
     names = [job.name for chain in chains for job in chain]
+    wanted: set[str] = set()
     for pattern in only:
-        if not fnmatch.filter(names, pattern):
+        found = fnmatch.filter(names, pattern)
+        if not found:
             raise MechSearchError(
                 f"no job of this sweep is called {pattern!r}; there are {len(names)}, from "
                 f"{names[0]!r} to {names[-1]!r}"
             )
-    wanted = {n for pattern in only for n in fnmatch.filter(names, pattern)} if only else set(names)
+        wanted |= set(found)
     kept = (tuple(job for job in chain if job.name in wanted) for chain in chains)
     return [chain for chain in kept if chain]
 
