@@ -43,9 +43,10 @@ class Symmetry:
     def of_images(self, images: Tensor) -> Tensor:
         """Return images (..., H, H), their pixels moved; the values stay."""
         if self.swap:
-            # Rows run along -y, so exchanging the axes mirrors at the other diagonal.
-            images = images.transpose(-1, -2).flip(-1, -2)
-        flips = [axis for axis, flip in ((-1, self.flip_x), (-2, self.flip_y)) if flip]
+            images = images.transpose(-1, -2)
+        # Rows run along -y, so exchanging the axes mirrors at the other diagonal: both are flipped.
+        mirrored = ((-1, self.flip_x), (-2, self.flip_y))
+        flips = [axis for axis, flip in mirrored if flip != self.swap]
         return images.flip(flips) if flips else images
 
     def of(self, key: str, value: Tensor) -> Tensor:
