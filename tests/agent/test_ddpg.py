@@ -1,4 +1,5 @@
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -241,6 +242,17 @@ def test_a_learner_of_other_shapes_is_refused():
     other = learner(actor={"depth": (1, 16, 16)})
     with pytest.raises(MechSearchError, match="another network"):
         other.restore(learner().state())
+
+
+def test_an_actor_that_looks_beside_the_critics_step_learns_the_same_bits():
+    beside, after = learner(symmetry=True), learner(symmetry=True)
+    replay, draws = bandit(), [np.random.default_rng(1) for _ in range(2)]
+    with ThreadPoolExecutor(1) as thread:
+        for _ in range(20):
+            metrics = beside.update(replay, draws[0], thread)
+            assert metrics == after.update(replay, draws[1])
+    states = beside.state(), after.state()
+    assert all(torch.equal(value, states[1][name]) for name, value in states[0].items())
 
 
 def test_symmetric_training_turns_observation_and_action_together():

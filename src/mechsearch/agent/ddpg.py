@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -182,10 +183,21 @@ class Learner:
             return []
         return self.critic.draw_masks(self.config.update_samples, batch, self.generator)
 
-    def update(self, replay: Replay, rng: np.random.Generator) -> Metrics:
-        """Draw one batch and improve critic, actor and targets with it."""
+    def update(
+        self, replay: Replay, rng: np.random.Generator, beside: Executor | None = None
+    ) -> Metrics:
+        """Draw one batch and improve critic, actor and targets with it.
+
+        Args:
+            replay: What to draw from.
+            rng: Source of randomness.
+            beside: A thread for the actor's look at the batch: the critic's step changes nothing
+                in it, so neither need wait for the other.
+        """
         batch = self._tensors(replay.sample(self.config.batch, rng, self.config.horizon))
-        metrics = {**self.update_critic(batch), **self.update_actor(batch)}
+        looked = beside.submit(self.actor.raw, batch.obs) if beside else None
+        metrics = self.update_critic(batch)
+        metrics |= self.update_actor(batch, looked.result() if looked else None)
         self.update_target()
         return metrics
 
@@ -240,9 +252,14 @@ class Learner:
             "q": q.mean().item() / self.config.reward_scale,
         }
 
-    def update_actor(self, batch: TensorBatch) -> Metrics:
-        """Take one step towards actions of higher Q; return the loss and how saturated it is."""
-        output = self.actor.raw(batch.obs)
+    def update_actor(self, batch: TensorBatch, output: Tensor | None = None) -> Metrics:
+        """Take one step towards actions of higher Q; return the loss and how saturated it is.
+
+        Args:
+            batch: What was done.
+            output: The actor's, if it has looked already.
+        """
+        output = self.actor.raw(batch.obs) if output is None else output
         action = self.actor.squash(output)
         with torch.no_grad():
             features = self.critic.encode(batch.obs)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import gymnasium
@@ -45,6 +46,8 @@ class Session:
         seeds = np.random.SeedSequence(config.seed).spawn(3)
         names = ("episodes", "exploration", "batches")
         self.rngs = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
+        # It stays for the run: networks are slower in a thread's first calls.
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="actor")
         self.behaviour = Behaviour(self.learner, config.seed + 1)
         self.collector = Collector(config, parts, self.behaviour, self.rngs)
         self.episode: EpisodeLog | None = None
@@ -113,7 +116,7 @@ class Session:
         since = max(self.step - self.config.warmup, 0)
         due = int(since * self.config.updates_per_action)
         while self.counts["updates"] < due and len(self.replay):
-            metrics = self.learner.update(self.replay, self.rngs["batches"])
+            metrics = self.learner.update(self.replay, self.rngs["batches"], self._beside)
             self.counts["updates"] += 1
             if self.episode is not None:
                 self.episode.add_update(metrics)
