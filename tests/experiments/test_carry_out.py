@@ -205,7 +205,7 @@ def test_a_foreign_run_directory_is_named_and_the_others_go_on(tiny, tmp_path, c
     assert stopped.value.code == 1
     said = capsys.readouterr().out
     assert "failed: single/method-seed0: " in said
-    assert "waiting: single/scores of method-seed0 needs single/method-seed0" in said
+    assert "waiting: single/scores of method-seed0: needs single/method-seed0" in said
     assert (sweep / "curves.csv").read_text().count("\n") == 1
 
 
@@ -328,6 +328,15 @@ def test_the_scores_of_a_run_that_is_not_there_wait(tiny, tmp_path):
     plan = replace(tiny, references=(), variants=("method",))
     found = carry_out(plan, tmp_path, only=["*scores of method*"])
     assert states(found) == {"single/scores of method-seed0": WAITING}
+    assert found.jobs[0].reason == "needs single/method-seed0"
+
+
+def test_the_scores_of_a_run_that_was_made_before_do_not_wait(tiny, tmp_path):
+    plan = replace(tiny, references=(), variants=("method",))
+    carry_out(plan, tmp_path, only=["single/method-seed0"])
+    found = carry_out(plan, tmp_path, only=["*scores of method*"])
+    assert states(found) == {"single/scores of method-seed0": DONE}
+    assert began(tmp_path) == {"single/method-seed0": 1, "single/scores of method-seed0": 1}
 
 
 def test_a_part_that_no_job_is_of_is_refused(few, tmp_path):

@@ -14,9 +14,7 @@ from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
 from mechsearch.experiments.status import (
     DONE,
-    FAILED,
     STATES,
-    WAITING,
     SweepStatus,
     status_of,
 )
@@ -80,7 +78,7 @@ class Sweep(Command):
         folder = SweepFolder(self.out)
         if self.status:
             say(to_text(_table(status_of(folder))))
-            _say_failures(status_of(folder))
+            _say_reasons(status_of(folder))
             return
         plan = self._plan(folder)
         rows = tuple((name, value) for name, value in described(plan))
@@ -93,7 +91,7 @@ class Sweep(Command):
             grasp, tell = Grasped(_network(plan)), _Teller()
             found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
         say(to_text(_table(found)))
-        _say_failures(found)
+        _say_reasons(found)
         wrote(folder.summary)
         wrote(folder.curves)
         if found.count(DONE) < len(found.jobs):
@@ -158,12 +156,7 @@ def _table(found: SweepStatus) -> Table:
     return Table(found.line, ("jobs", *STATES), tuple(rows))
 
 
-def _say_failures(found: SweepStatus) -> None:
+def _say_reasons(found: SweepStatus) -> None:
     for status in found.jobs:
-        if status.state == FAILED:
-            say(f"failed: {status.job.name}: {' '.join(status.reason.split())}")
-    missing = {status.job.name for status in found.jobs if status.state != DONE}
-    for status in found.jobs:
-        needs = sorted(missing.intersection(status.job.after))
-        if status.state == WAITING and needs:
-            say(f"waiting: {status.job.name} needs {', '.join(needs[:3])}")
+        if status.reason:
+            say(f"{status.state}: {status.job.name}: {' '.join(status.reason.split())}")

@@ -96,8 +96,11 @@ def carry_out(
                     f"another sweep is at work in {path}; wait for its end, or stop it"
                 )
             open_plan(plan, folder)
-            chains = chosen(chains_of(plan, folder, grasp), only)
-            return _carry_out_all(plan, chains, folder, workers, mapper, tell)
+            chains = chains_of(plan, folder, grasp)
+            wanted = chosen(chains, only)
+            # What is wanted now may need what was done before.
+            done, wrong = inspected([job for chain in chains for job in chain])
+            return _carry_out_all(plan, wanted, done, wrong, folder, workers, mapper, tell)
     except (OSError, NotWrittenError) as error:
         raise MechSearchError(
             f"the sweep in {path} has stopped: {error}; what is finished is whole, and the same "
@@ -108,6 +111,8 @@ def carry_out(
 def _carry_out_all(
     plan: SweepPlan,
     chains: Sequence[Chain],
+    done: set[str],
+    wrong: dict[str, str],
     folder: SweepFolder,
     workers: int,
     mapper: Mapper,
@@ -116,7 +121,6 @@ def _carry_out_all(
     jobs = [job for chain in chains for job in chain]
     journal = Journal(folder.journal)
     journal.begin(workers)
-    done, wrong = inspected(jobs)
     tried: set[Chain] = set()
     with _watched(jobs, done, wrong, journal, tell):
         while wave := next_wave(chains, done, tried):
@@ -129,7 +133,8 @@ def _carry_out_all(
                 reason = result.reason if isinstance(result, Failure) else result
                 if reason and stuck:
                     journal.write(FAILED, job=stuck[0], reason=reason)
-    done, wrong = inspected(jobs)
+    ended, wrong = inspected(jobs)
+    done = done.difference(job.name for job in jobs) | ended
     _gather(plan, jobs, done, folder)
     past = Past.of(journal.records())
     past.running.clear()

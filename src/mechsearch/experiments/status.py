@@ -23,7 +23,7 @@ class JobStatus:
     Attributes:
         job: Which.
         state: "done", "running", "waiting" or "failed".
-        reason: Why it failed.
+        reason: Why it failed, or what it waits for.
     """
 
     job: Job
@@ -101,7 +101,8 @@ def status(jobs: Sequence[Job], done: set[str], wrong: dict[str, str], past: Pas
         elif job.name in failed:
             found.append(JobStatus(job, FAILED, failed[job.name]))
         else:
-            found.append(JobStatus(job, WAITING))
+            needs = [name for name in job.after if name not in done]
+            found.append(JobStatus(job, WAITING, f"needs {', '.join(needs)}" if needs else ""))
     return SweepStatus(tuple(found), _hours_left(found, past))
 
 
