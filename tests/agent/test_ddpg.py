@@ -133,6 +133,8 @@ def test_straying_is_one_less_the_mean_cosine_to_what_teachers_did():
     assert straying(action, recorded, everyone).item() == pytest.approx((0 + 1 + 2 + 0) / 4)
     assert straying(action, recorded, some).item() == pytest.approx(0.5)
     assert straying(action, recorded, one).item() == pytest.approx(2)
+    lengths = straying(action, recorded, everyone, lengths=True)
+    assert lengths.item() == pytest.approx((0.25 + 1 + 2.64 + 0) / 4)
     assert straying(action, recorded, ~everyone).item() == 0
 
 
@@ -147,6 +149,33 @@ def test_teachers_that_disagree_do_not_shorten_what_is_learnt_from_them():
         agent.update_actor(replace(data, obs=alike))
     action = agent.actor(alike)[0].detach()
     torch.testing.assert_close(action, torch.tensor([1.0, 0.0, 0.0]), atol=0.1, rtol=0)
+
+
+def test_lengths_are_learnt_beside_directions():
+    network = NetworkConfig(hidden=(32, 32), directions=True, lengths=True)
+    agent = learner(imitation=100.0, network=network, actor_rate=1e-2)
+    # Two thirds go right, a third left, all by 0.6 of a step: the mean of all is a third of that.
+    sides = torch.tensor([0.6, 0.6, -0.6]).repeat(10)
+    data = replace(batch(size=30, taught=True), action=torch.eye(3)[:1] * sides[:, None])
+    alike = {key: torch.ones_like(value) for key, value in data.obs.items()}
+    for _ in range(150):
+        agent.update_actor(replace(data, obs=alike))
+    action = agent.actor(alike)[0].detach()
+    torch.testing.assert_close(action, torch.tensor([0.6, 0.0, 0.0]), atol=0.1, rtol=0)
+
+
+@pytest.mark.parametrize("mirrors", [False, True])
+def test_batches_are_mirrored_only_where_that_is_wanted(mirrors, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        "mechsearch.agent.ddpg.transform",
+        lambda keys, symmetry: (drawn.append(symmetry), dict(keys))[1],
+    )
+    agent, replay = learner(symmetry=True, mirrors=mirrors), bandit(40)
+    for _ in range(40):
+        agent.update(replay, np.random.default_rng(0))
+    assert {symmetry.mirrors for symmetry in drawn} == ({False, True} if mirrors else {False})
+    assert len(set(drawn)) == (8 if mirrors else 4)
 
 
 def test_what_no_teacher_did_is_not_imitated():

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from mechsearch.agent.networks import Actor, Critic, NetworkConfig, Scale
+from mechsearch.agent.networks import Actor, Centroid, Critic, NetworkConfig, Scale
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}
@@ -37,6 +38,34 @@ def test_an_action_as_a_direction_has_full_length_whatever_the_output_is():
     torch.testing.assert_close(actor.squash(raw), torch.tensor([[0.6, 0.0, 0.8]]).expand(2, 3))
     assert actor.excess(raw).item() == pytest.approx((4.0**2 + 0.95**2) / 2)
     assert torch.isfinite(actor.squash(torch.zeros(1, 3))).all()
+
+
+def test_a_direction_with_a_length_is_from_a_fifth_to_all_of_a_step():
+    actor = Actor(SHAPES, NetworkConfig(directions=True, lengths=True))
+    # The length begins near 1: sigmoid(2) is 0.88.
+    lengths = actor(observations(SHAPES, 5)).norm(dim=1)
+    torch.testing.assert_close(lengths, torch.full((5,), 0.2 + 0.8 * 0.8808), atol=0.02, rtol=0)
+    raw = torch.tensor([[3.0, 0.0, 4.0, -50.0], [3.0, 0.0, 4.0, 50.0], [3.0, 0.0, 4.0, -0.5]])
+    along = torch.tensor([[0.6, 0.0, 0.8]])
+    torch.testing.assert_close(actor.squash(raw), torch.tensor([[0.2], [1.0], [0.6]]) * along)
+    assert actor.excess(raw).item() == pytest.approx(4.0**2)
+    with pytest.raises(MechSearchError, match="expected directions"):
+        NetworkConfig(lengths=True)
+
+
+def test_the_centroid_is_the_mean_offset_of_what_is_seen_of_the_target():
+    image = torch.zeros(2, 3, 8, 8)
+    image[0, :, 2, 3] = torch.tensor([0.1, -0.2, -0.3])
+    image[0, :, 2, 4] = torch.tensor([0.2, 0.0, -0.1])
+    expected = torch.tensor([[0.15, -0.1, -0.2, (2 / 64) ** 0.5], [0.0, 0.0, 0.0, 0.0]])
+    torch.testing.assert_close(Centroid()(image), expected)
+
+
+def test_a_centroid_is_one_more_head_where_there_is_a_position_image():
+    without = NetworkConfig()
+    with_it = replace(without, centroid=True)
+    assert Actor(SHAPES, with_it).encoder.width == Actor(SHAPES, without).encoder.width + 32
+    assert Critic(LOW, with_it, 0.0).encoder.width == Critic(LOW, without, 0.0).encoder.width
 
 
 def test_the_paper_image_size_gives_two_thousand_features_a_tower():

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.agent.symmetry import SYMMETRIES, Symmetry, transform
+from mechsearch.agent.symmetry import SYMMETRIES, TURNS, Symmetry, transform
 from mechsearch.camera import preset
 from mechsearch.types import MechSearchError
 
@@ -41,7 +41,9 @@ def test_the_eight_are_all_different_and_one_changes_nothing():
     maps = {tuple(matrix(s).ravel()) for s in SYMMETRIES}
     assert len(maps) == 8
     np.testing.assert_array_equal(matrix(SYMMETRIES[0]), np.eye(2))
-    assert all(abs(np.linalg.det(matrix(s))) == 1 for s in SYMMETRIES)
+    assert all(np.linalg.det(matrix(s)) == (-1 if s.mirrors else 1) for s in SYMMETRIES)
+    assert len(TURNS) == 4
+    assert all(np.linalg.det(matrix(s)) == 1 for s in TURNS)
 
 
 @settings(deadline=None, max_examples=40)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.agent.guidance import Guidance
 from mechsearch.agent.policy import load_actor
 from mechsearch.agent.weights import load_archive, save_archive
 from mechsearch.runs import read_lines
@@ -212,6 +213,26 @@ def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp
     assert kept == archive.meta["counts"]["step"] - 1 - waits_for_its_next
     reward, complete = archive.tensors["replay/reward"], archive.tensors["replay/complete"]
     assert torch.isfinite(reward[complete]).all()
+
+
+@pytest.mark.parametrize(
+    ("imitated", "choices"), [((), {1, 2}), (("zigzag",), {2}), (("straight", "zigzag"), {1, 2})]
+)
+def test_the_actor_is_drawn_to_the_teachers_that_are_imitated(
+    imitated, choices, config, make_parts, monkeypatch
+):
+    monkeypatch.setattr(Guidance, "choose", lambda self, samples, rng: int(rng.integers(3)))
+    session = Session(replace(config, imitated=imitated), make_parts())
+    acted = []
+    while len(acted) < 60:
+        for done in session.collector.collect(4):
+            session.store(done)
+            acted.append(done.decision.choice)
+    assert set(acted) == {0, 1, 2}
+    rows = session.replay.guided[session.replay.complete]
+    # The last action waits for where it led.
+    assert len(rows) >= len(acted) - 1
+    assert rows.tolist() == [choice in choices for choice in acted[: len(rows)]]
 
 
 def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):

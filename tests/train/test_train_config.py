@@ -30,12 +30,14 @@ def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
         ddpg,
         name="method",
         teachers=method.teachers,
+        imitated=method.imitated,
         critic_keys=method.critic_keys,
         learner=replace(
             ddpg.learner,
             dropout=method.learner.dropout,
             samples=50,
-            network=replace(ddpg.learner.network, directions=True),
+            mirrors=method.learner.mirrors,
+            network=replace(ddpg.learner.network, directions=True, lengths=True),
         ),
     )
     assert same == method
@@ -58,6 +60,11 @@ def test_no_actor_sees_privileged_keys():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        (
+            {"imitated": ("sprial",)},
+            "imitated names 'sprial', but .* straight, zigzag",
+        ),
+        ({"imitated": ("spiral",), "teachers": ()}, "imitated names 'spiral'.* are none"),
         ({"teachers": ("push",)}, "unknown teacher 'push'; choose among straight"),
         ({"learner": LearnerConfig(dropout=0.0)}, "teachers need a Bayesian critic"),
         ({"actor_keys": ("target_offset",)}, "must not see 'target_offset'"),

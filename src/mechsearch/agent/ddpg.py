@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from mechsearch.agent.networks import Actor, Critic, NetworkConfig, Shapes, Tensors
 from mechsearch.agent.replay import Batch, Replay
-from mechsearch.agent.symmetry import SYMMETRIES, transform
+from mechsearch.agent.symmetry import SYMMETRIES, TURNS, transform
 from mechsearch.agent.weights import fill, fill_optimizer, optimizer_tensors, part, prefixed
 from mechsearch.types import Array, MechSearchError
 
@@ -43,9 +43,8 @@ class LearnerConfig:
         saturation_penalty: Weight of the mean square of the actor's output before the tanh, or of
             the distance of its length from 1 where that is normalised.
         normalise_value: Divide the actor's loss by the mean |Q|, so that scales do not matter.
-        imitation: Weight, beside that loss, of what draws the actor to the directions in which
-            teachers went (behaviour cloning beside a policy gradient: Nair et al. 2018); 0 is the
-            paper's loss.
+        imitation: Weight, beside that loss, of what draws the actor to what teachers did
+            (behaviour cloning beside a policy gradient: Nair et al. 2018); 0 is the paper's loss.
         worst: Share of all that was done, that of the episodes of lowest return, which is not
             imitated.
         max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
@@ -54,6 +53,8 @@ class LearnerConfig:
             behavioural target, for teachers that cannot be asked again).
         pessimism: Standard deviations over the dropout copies that a target is lowered by.
         symmetry: Turn and mirror every batch at random (overhead camera only).
+        mirrors: Whether symmetry mirrors too, or only turns: a teacher whose spirals have a hand
+            is another one in a mirror.
         network: Sizes of the networks.
     """
 
@@ -78,6 +79,7 @@ class LearnerConfig:
     target_action: str = "actor"
     pessimism: float = 0.0
     symmetry: bool = True
+    mirrors: bool = True
     network: NetworkConfig = field(default_factory=lambda: NetworkConfig(directions=True))
 
     def __post_init__(self) -> None:
@@ -123,7 +125,7 @@ class TensorBatch:
     taught: Tensor
 
 
-def straying(action: Tensor, recorded: Tensor, taught: Tensor) -> Tensor:
+def straying(action: Tensor, recorded: Tensor, taught: Tensor, lengths: bool = False) -> Tensor:
     """Return 1 less the cosine between actions and what teachers did, averaged over the latter.
 
     Directions are compared and not squared distances, since teachers disagree: the mean of their
@@ -133,9 +135,13 @@ def straying(action: Tensor, recorded: Tensor, taught: Tensor) -> Tensor:
         action: The actor's (B, 3).
         recorded: Executed actions (B, 3).
         taught: Which of them to learn (B,); with none, the result is 0.
+        lengths: Add the squared difference of their lengths.
     """
     aligned = nn.functional.cosine_similarity(action, recorded, dim=1)
-    return ((1 - aligned) * taught).sum() / taught.sum().clamp_min(1)
+    apart = 1 - aligned
+    if lengths:
+        apart = apart + (action.norm(dim=1) - recorded.norm(dim=1)).square()
+    return (apart * taught).sum() / taught.sum().clamp_min(1)
 
 
 def alpha_divergence(errors: Tensor, alpha: float, precision: float) -> Tensor:
@@ -206,8 +212,9 @@ class Learner:
         after = {**_tensors(batch.next_obs), "action": torch.as_tensor(batch.next_action)}
         if self.config.symmetry:
             # One for the whole batch: turning each sample by itself costs a fifth of an update.
-            drawn = int(torch.randint(len(SYMMETRIES), (), generator=self.generator))
-            now, after = (transform(keys, SYMMETRIES[drawn]) for keys in (now, after))
+            symmetries = SYMMETRIES if self.config.mirrors else TURNS
+            drawn = int(torch.randint(len(symmetries), (), generator=self.generator))
+            now, after = (transform(keys, symmetries[drawn]) for keys in (now, after))
         reward = torch.as_tensor(batch.reward) * self.config.reward_scale
         return TensorBatch(
             now,
@@ -268,7 +275,7 @@ class Learner:
         q = self.critic.value(features, action, self._masks(len(action)))
         self.critic.requires_grad_(True)
         scale = q.detach().abs().mean() if self.config.normalise_value else 1.0
-        strays = straying(action, batch.action, batch.taught)
+        strays = straying(action, batch.action, batch.taught, self.config.network.lengths)
         loss = (
             -q.mean() / (scale + 1e-6)
             + self.config.imitation * strays

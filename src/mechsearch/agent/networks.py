@@ -13,6 +13,12 @@ ACTION_SIZE = 3
 Shapes = Mapping[str, tuple[int, ...]]
 Tensors = Mapping[str, Tensor]
 
+SHORTEST = 0.2
+"""Least length of an action that is a direction with a length; 1 is a whole step."""
+
+CENTROID_GAIN = 8.0
+"""What multiplies the mean offset of the visible target [1/m], and the root of its share."""
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -35,8 +41,12 @@ class NetworkConfig:
         offset_gain: What multiplies positions and offsets [1/m].
         bfloat16: Compute training passes in bfloat16, except the last layer; faster only on
             processors that multiply such matrices themselves.
-        directions: An action is a direction and always of full length: the actor's output is
-            normalised instead of squashed by a tanh along each axis (paper).
+        directions: An action is a direction, of full length: the actor's output is normalised
+            instead of squashed by a tanh along each axis (paper).
+        lengths: An action that is a direction has a length too, from a fifth to all of a step,
+            which is an output of its own: the mean of opposite directions shortens nothing.
+        centroid: Where there is a position image, the mean of its offsets and how many there are
+            are one more vector with a head. A tower would have to learn to divide for that.
     """
 
     kernels: tuple[int, ...] = (6, 3, 3)
@@ -52,8 +62,12 @@ class NetworkConfig:
     offset_gain: float = 4.0
     bfloat16: bool = False
     directions: bool = False
+    lengths: bool = False
+    centroid: bool = False
 
     def __post_init__(self) -> None:
+        if self.lengths and not self.directions:
+            raise MechSearchError("lengths are those of directions; expected directions with them")
         if not len(self.kernels) == len(self.strides) == len(self.paddings):
             raise MechSearchError(
                 f"kernels {self.kernels}, strides {self.strides} and paddings {self.paddings} "
@@ -111,12 +125,29 @@ def _head(key: str, shape: tuple[int, ...], config: NetworkConfig) -> nn.Sequent
     return nn.Sequential(_scale(key, config), nn.Flatten(), dense, nn.ReLU())
 
 
+class Centroid(nn.Module):
+    """Where the visible target is, and how large it looks, from its position image."""
+
+    def forward(self, position_image: Tensor) -> Tensor:
+        """Return mean offsets [m] and the root of the share of pixels (B, 4); 0 where hidden."""
+        offsets = position_image.float()
+        seen = (offsets != 0).any(dim=1)
+        count = seen.sum((1, 2)).float()
+        mean = offsets.sum((2, 3)) / count.clamp_min(1)[:, None]
+        return torch.cat([mean, (count / seen[0].numel()).sqrt()[:, None]], dim=1)
+
+
 class Encoder(nn.Module):
     """A convolutional tower for each image and a dense head for each vector, concatenated."""
 
     def __init__(self, shapes: Shapes, config: NetworkConfig) -> None:
         super().__init__()
         self.heads = nn.ModuleDict({k: _head(k, tuple(s), config) for k, s in shapes.items()})
+        self.centroid: nn.Module | None = None
+        if config.centroid and "position_image" in shapes:
+            dense = nn.Linear(4, config.head_units)
+            scale = Scale(0.0, CENTROID_GAIN)
+            self.centroid = nn.Sequential(Centroid(), scale, dense, nn.ReLU())
         with torch.no_grad():
             # As fast convolutions on a CPU want their images.
             self.to(memory_format=torch.channels_last)
@@ -125,7 +156,10 @@ class Encoder(nn.Module):
 
     def forward(self, obs: Tensors) -> Tensor:
         """Return features (B, width) of a batch of observations (B, *shape) by key."""
-        return torch.cat([head(obs[key]) for key, head in self.heads.items()], dim=1)
+        features = [head(obs[key]) for key, head in self.heads.items()]
+        if self.centroid is not None:
+            features.append(self.centroid(obs["position_image"]))
+        return torch.cat(features, dim=1)
 
 
 class Trunk(nn.Module):
@@ -164,7 +198,8 @@ class Actor(nn.Module):
         self.config = config
         self.encoder = Encoder(shapes, config)
         self.trunk = Trunk(self.encoder.width, config)
-        self.output = _output(config.hidden[-1], ACTION_SIZE, config.output_bound)
+        units = ACTION_SIZE + config.lengths
+        self.output = _output(config.hidden[-1], units, config.output_bound)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -172,7 +207,7 @@ class Actor(nn.Module):
         return tuple(self.shapes)
 
     def raw(self, obs: Tensors) -> Tensor:
-        """Return the last layer's output (B, 3), which `squash` makes an action."""
+        """Return the last layer's output (B, 3 or 4), which `squash` makes an action."""
         with torch.autocast("cpu", torch.bfloat16, self.config.bfloat16 and self.training):
             hidden = self.trunk(self.encoder(obs))
         out: Tensor = self.output(hidden.float())
@@ -180,13 +215,20 @@ class Actor(nn.Module):
 
     def squash(self, raw: Tensor) -> Tensor:
         """Return actions (B, 3) in [-1, 1] from `raw` output."""
-        return nn.functional.normalize(raw, dim=-1) if self.config.directions else torch.tanh(raw)
+        if not self.config.directions:
+            return torch.tanh(raw)
+        actions = nn.functional.normalize(raw[:, :ACTION_SIZE], dim=-1)
+        if self.config.lengths:
+            # Long at first, as most actions of teachers are.
+            longer = torch.sigmoid(4 * raw[:, ACTION_SIZE:] + 2)
+            actions = actions * (SHORTEST + (1 - SHORTEST) * longer)
+        return actions
 
     def excess(self, raw: Tensor) -> Tensor:
         """Return how far raw output is from where it is best to learn, a mean over the batch."""
         if self.config.directions:
             # The gradient of a direction falls with the length of what is normalised.
-            raw = raw.norm(dim=-1) - 1
+            raw = raw[:, :ACTION_SIZE].norm(dim=-1) - 1
         return raw.square().mean()
 
     def forward(self, obs: Tensors) -> Tensor:

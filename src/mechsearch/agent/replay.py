@@ -97,7 +97,7 @@ class Replay:
             action: What was executed (3,), in [-1, 1].
             reward: What it earned.
             discount: 0 if the episode terminated, else the discount factor.
-            guided: Whether a teacher acted.
+            guided: Whether a teacher acted who may be imitated.
         """
         if self._pending < 0:
             self._begun = self._cursor

@@ -33,6 +33,11 @@ class Symmetry:
     flip_x: bool
     flip_y: bool
 
+    @property
+    def mirrors(self) -> bool:
+        """Whether it turns left into right, and not only the whole."""
+        return (self.swap + self.flip_x + self.flip_y) % 2 == 1
+
     def of_vectors(self, vectors: Tensor) -> Tensor:
         """Return vectors (..., 3) in workspace axes, transformed."""
         x, y, z = vectors.unbind(-1)
@@ -68,6 +73,7 @@ class Symmetry:
 
 
 SYMMETRIES = tuple(Symmetry(*flags) for flags in product((False, True), repeat=3))
+TURNS = tuple(symmetry for symmetry in SYMMETRIES if not symmetry.mirrors)
 """All eight; the first changes nothing."""
 
 

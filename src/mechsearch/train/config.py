@@ -68,6 +68,7 @@ class TrainConfig:
         actor_keys: What the actor sees.
         critic_keys: What the critic sees; the actor's keys make it symmetric.
         teachers: Who guides, of "straight", "zigzag" and "spiral"; empty is unguided.
+        imitated: Those of the teachers whose actions the actor is drawn to; empty is all.
         updates_per_action: Gradient steps for each action.
         block: Actions executed between two looks at the networks, which learn meanwhile.
         warmup: Actions before the first update.
@@ -92,6 +93,7 @@ class TrainConfig:
     actor_keys: tuple[str, ...] = ACTOR_KEYS
     critic_keys: tuple[str, ...] = CRITIC_KEYS
     teachers: tuple[str, ...] = tuple(TEACHERS)
+    imitated: tuple[str, ...] = ()
     updates_per_action: float = 1.0
     block: int = 4
     warmup: int = 300
@@ -125,6 +127,12 @@ class TrainConfig:
         if unknown:
             raise MechSearchError(
                 f"unknown teacher {unknown[0]!r}; choose among {', '.join(TEACHERS)}"
+            )
+        strangers = [name for name in self.imitated if name not in self.teachers]
+        if strangers:
+            raise MechSearchError(
+                f"imitated names {strangers[0]!r}, but the teachers are "
+                f"{', '.join(self.teachers) or 'none'}; choose among them"
             )
         if not self.actor_keys or not self.critic_keys:
             raise MechSearchError("actor and critic need at least one observation key each")
@@ -161,17 +169,22 @@ def _at_least(name: str, value: int, least: int) -> None:
 
 
 def _presets() -> Mapping[str, TrainConfig]:
-    method = TrainConfig()
+    base = TrainConfig()
     # Directions serve imitation; where there is nobody to imitate, the actor is the paper's.
-    alone = replace(method.learner, network=NetworkConfig())
+    alone = replace(base.learner, network=NetworkConfig(centroid=True))
+    # A spiral's next step follows from where the end effector is. That of a push through the
+    # target does not, unless one knows from where it came, and the actor remembers nothing.
+    drawn = NetworkConfig(directions=True, lengths=True, centroid=True)
+    learner = replace(base.learner, mirrors=False, network=drawn)
+    method = replace(base, imitated=("spiral",), learner=learner)
     ordinary = replace(alone, dropout=0.0, samples=1)
     variants = {
         "method": method,
-        "ddpg": replace(method, teachers=(), critic_keys=ACTOR_KEYS, learner=ordinary),
-        "no-teachers": replace(method, teachers=(), learner=alone),
+        "ddpg": replace(base, teachers=(), critic_keys=ACTOR_KEYS, learner=ordinary),
+        "no-teachers": replace(base, teachers=(), learner=alone),
         "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
         "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
-        "plus": replace(method, teachers=(), pushes=PushLearningConfig(networks=3)),
+        "plus": replace(base, teachers=(), pushes=PushLearningConfig(networks=3)),
         "debug": replace(
             method,
             actions=120,

@@ -43,6 +43,9 @@ class Session:
         )
         rows = min(config.replay_rows, 2 * config.actions + 2)
         self.replay = Replay(shapes, dtypes, rows, config.learner.worst)
+        imitated = config.imitated or config.teachers
+        # Candidate 0 is the actor.
+        self._imitated = {1 + i for i, name in enumerate(parts.teachers) if name in imitated}
         seeds = np.random.SeedSequence(config.seed).spawn(3)
         names = ("episodes", "exploration", "batches")
         self.rngs = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
@@ -106,8 +109,8 @@ class Session:
             return
         discount = 0.0 if done.terminated else self.config.learner.gamma
         decision = done.decision
-        guided = decision.choice > 0
-        self.replay.add(done.obs, decision.action, done.reward, discount, guided)
+        imitated = decision.choice in self._imitated
+        self.replay.add(done.obs, decision.action, done.reward, discount, imitated)
         if done.over:
             self.replay.end(done.after)
 
