@@ -36,6 +36,7 @@ def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
             ddpg.learner,
             dropout=method.learner.dropout,
             samples=50,
+            imitation=method.learner.imitation,
             mirrors=method.learner.mirrors,
             network=replace(ddpg.learner.network, directions=True, lengths=True),
         ),

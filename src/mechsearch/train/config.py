@@ -175,7 +175,7 @@ def _presets() -> Mapping[str, TrainConfig]:
     # A spiral's next step follows from where the end effector is. That of a push through the
     # target does not, unless one knows from where it came, and the actor remembers nothing.
     drawn = NetworkConfig(directions=True, lengths=True, centroid=True)
-    learner = replace(base.learner, mirrors=False, network=drawn)
+    learner = replace(base.learner, imitation=10.0, mirrors=False, network=drawn)
     method = replace(base, imitated=("spiral",), learner=learner)
     ordinary = replace(alone, dropout=0.0, samples=1)
     variants = {
