@@ -90,7 +90,11 @@ class Scale(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the scaled observation, of the same shape."""
-        return (x.float() - self.shift) * self.gain
+        scaled = (x.float() - self.shift) * self.gain
+        if x.dim() == 4:
+            # Otherwise the first convolution turns them round itself, in both its passes.
+            scaled = scaled.contiguous(memory_format=torch.channels_last)
+        return scaled
 
 
 def _scale(key: str, config: NetworkConfig) -> Scale:
@@ -131,10 +135,10 @@ class Centroid(nn.Module):
     def forward(self, position_image: Tensor) -> Tensor:
         """Return mean offsets [m] and the root of the share of pixels (B, 4); 0 where hidden."""
         offsets = position_image.float()
-        seen = (offsets != 0).any(dim=1)
-        count = seen.sum((1, 2)).float()
+        seen = (offsets.abs().amax(dim=1) > 0).flatten(1)
+        count = seen.sum(1).float()
         mean = offsets.sum((2, 3)) / count.clamp_min(1)[:, None]
-        return torch.cat([mean, (count / seen[0].numel()).sqrt()[:, None]], dim=1)
+        return torch.cat([mean, (count / seen.shape[1]).sqrt()[:, None]], dim=1)
 
 
 class Encoder(nn.Module):

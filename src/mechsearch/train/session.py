@@ -17,6 +17,7 @@ from mechsearch.train.checkpoint import generator_state, restore_generator
 from mechsearch.train.collector import Collector, Env, Parts, Transition
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.episode import EpisodeLog
+from mechsearch.train.freed_memory import keep_freed_memory
 from mechsearch.types import Array, MechSearchError
 
 
@@ -31,6 +32,7 @@ class Session:
         """
         self.config, self.parts = config, parts
         torch.set_num_threads(config.threads)
+        keep_freed_memory()
         torch.manual_seed(config.seed)
         spaces = _spaces(parts.env, config)
         shapes = {key: tuple(space.shape or ()) for key, space in spaces.items()}
