@@ -31,11 +31,20 @@ def test_runs_differ_from_their_presets_in_what_is_watched_alone():
     plan = SweepPlan()
     run, preset = plan.config("ddpg", 3), preset_config("ddpg")
     assert (run.seed, run.actions, run.held_out_heaps, run.validation_heaps) == (3, 8000, 50, 0)
-    same = {"seed": 0, "held_out_heaps": 0, "validation_heaps": preset.validation_heaps}
-    assert replace(run, **same) == preset
+    same = {"seed": 0, "validation_heaps": preset.validation_heaps}
+    assert replace(run, **same, held_out_heaps=0, grasp_network="") == preset
     assert plan.config("plus", 0) == replace(
-        preset_config("plus"), held_out_heaps=50, validation_heaps=0
+        preset_config("plus"), held_out_heaps=50, validation_heaps=0, grasp_network="shipped"
     )
+
+
+def test_curves_have_graspability_where_the_plan_names_the_variant_and_measures_grasps():
+    plan = replace(SweepPlan(), curve_grasps=("ddpg",), grasp_network="mine.npz")
+    found = {variant: plan.config(variant, 0).grasp_network for variant in VARIANTS}
+    assert found.pop("ddpg") == "mine.npz"
+    assert set(found.values()) == {""}
+    assert replace(plan, grasps=False).config("ddpg", 0).grasp_network == ""
+    assert SweepPlan().config("method", 0).grasp_network == "shipped"
 
 
 @pytest.mark.parametrize("plan", [SweepPlan(), QUICK])
@@ -80,6 +89,7 @@ def test_what_failed_is_not_waited_for_for_ever():
     ("changes", "message"),
     [
         ({"variants": ("best",)}, "unknown variant 'best'; choose among method, ddpg"),
+        ({"curve_grasps": ("best",)}, "unknown variant 'best'; choose among method, ddpg"),
         ({"conditions": ("triple",)}, "unknown condition 'triple'"),
         ({"references": ("idle", "idle")}, "a reference is named twice"),
         ({"seeds": (1, 1)}, r"seeds are \(1, 1\)"),

@@ -56,6 +56,14 @@ def test_figures_have_a_panel_for_each_metric_and_condition(experiment: Experime
     assert len(learning.draw_ablation(experiment).axes) == 4
 
 
+def test_final_scores_without_curves_stand_where_the_curves_end(experiment: Experiment) -> None:
+    axes = learning.draw_learning(experiment).axes
+    actions = {x for line in axes[6].lines if line.get_marker() == "D" for x in line.get_xdata()}
+    low, high = axes[6].get_xlim()
+    assert low == 0
+    assert max(actions) < high < 1.2 * axes[0].get_xlim()[1]
+
+
 def test_every_seed_the_mean_and_every_teacher_are_drawn(experiment: Experiment) -> None:
     ax = learning.draw_learning(experiment).axes[0]
     curves = [line for line in ax.lines if len(line.get_xdata()) == 3]

@@ -101,3 +101,29 @@ def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
     end = "checkpoints/step-00000034.safetensors"
     for name in ("metrics.jsonl", "actor.safetensors", end):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_rating_the_targets_of_held_out_heaps_changes_nothing_else(
+    debug, heap_set, boxes, tmp_path
+):
+    rated = replace(debug, grasp_network="shipped")
+    for name, config in (("rated", rated), ("plain", debug)):
+        train(config, assemble(config, heap_set, boxes), tmp_path / name)
+    logs = {
+        name: list(read_lines(tmp_path / name / "metrics.jsonl")) for name in ("rated", "plain")
+    }
+    added = {f"graspability_change{end}" for end in ("", "_ci_low", "_ci_high")}
+    for ours, theirs in zip(logs["rated"], logs["plain"], strict=True):
+        more = ours.keys() - theirs.keys()
+        assert more == (added if ours["kind"] == "held_out" else set())
+        same = ours.keys() & theirs.keys() - {"check"}
+        assert {name: repr(ours[name]) for name in same} == {n: repr(theirs[n]) for n in same}
+    actors = [(tmp_path / name / "actor.safetensors").read_bytes() for name in logs]
+    assert load_actor(tmp_path / "rated").training_actions == debug.actions
+    assert actors[0] == actors[1]
+
+
+def test_a_grasp_network_that_is_not_there_is_refused(debug, heap_set, boxes, tmp_path):
+    absent = replace(debug, grasp_network=str(tmp_path / "absent.safetensors"))
+    with pytest.raises(MechSearchError, match=r"absent\.safetensors"):
+        assemble(absent, heap_set, boxes)

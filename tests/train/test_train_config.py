@@ -74,6 +74,10 @@ def test_no_actor_sees_privileged_keys():
             "fits its networks every 1000 actions .* actions is 4500; expected a multiple",
         ),
         ({"camera": "tilted", "learner": LearnerConfig(symmetry=True)}, "overhead"),
+        (
+            {"grasp_network": "shipped"},
+            "grasp_network is 'shipped', and held_out_heaps 0: there are no targets",
+        ),
         ({"threads": 0}, "threads is 0; expected at least 1"),
         ({"actions": -1}, "actions is -1"),
         ({"updates_per_action": -0.5}, "updates_per_action"),

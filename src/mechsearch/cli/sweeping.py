@@ -43,6 +43,7 @@ class Sweep(Command):
         references: What is not trained: random, idle, the teachers, look-ahead.
         curve_heaps: Held-out heaps that curves are drawn on.
         curve_every: Actions between two points of a curve; with plus, its actions are a multiple.
+        curve_grasps: Variants whose curves have graspability too; method, ddpg and plus by default.
         final_heaps: Held-out heaps of the final scores.
         grasps: Whether final episodes are measured by graspability and retrieval too.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
@@ -65,6 +66,7 @@ class Sweep(Command):
     references: tuple[str, ...] | None = None
     curve_heaps: int | None = None
     curve_every: int | None = None
+    curve_grasps: tuple[str, ...] | None = None
     final_heaps: int | None = None
     grasps: bool | None = None
     grasp_network: Path | None = None

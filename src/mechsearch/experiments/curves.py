@@ -4,7 +4,7 @@ import csv
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
 from mechsearch.runs import locked, read_lines, write_whole
 from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import load_config
@@ -46,7 +46,7 @@ def curve(run: Path) -> Iterator[Row]:
     for record in read_lines(run / METRICS_FILE):
         if record["kind"] != "held_out":
             continue
-        for metric in METRICS:
+        for metric in (*METRICS, *(name for name in GRASP_METRICS if name in record)):
             numbers = [float(record[metric + end]) for end in ("", "_ci_low", "_ci_high")]
             mean, low, high = numbers
             yield (

@@ -14,7 +14,7 @@ from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.runs import read_record, write_record
-from mechsearch.train.config import TrainConfig, preset_config
+from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig, preset_config
 from mechsearch.types import MechSearchError
 
 VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
@@ -47,6 +47,7 @@ class SweepPlan:
         references: Policies that are not trained.
         curve_heaps: Held-out heaps that curves are drawn on, the same for all runs.
         curve_every: Actions between two points of a curve; `actions` of `plus` are a multiple.
+        curve_grasps: Variants whose curves have graspability too, where `grasps` are measured.
         final_heaps: Held-out heaps of the final scores, the same for all policies.
         grasps: Whether final episodes are also measured by graspability and retrieval.
         grasp_network: File of the grasp network to do it with; empty takes the shipped one.
@@ -65,6 +66,7 @@ class SweepPlan:
     references: tuple[str, ...] = REFERENCES
     curve_heaps: int = 50
     curve_every: int = 1000
+    curve_grasps: tuple[str, ...] = ("method", "ddpg", "plus")
     final_heaps: int = 300
     grasps: bool = True
     grasp_network: str = ""
@@ -72,6 +74,7 @@ class SweepPlan:
     def __post_init__(self) -> None:
         _check_names("condition", self.conditions, tuple(CONDITIONS))
         _check_names("variant", self.variants, VARIANTS)
+        _check_names("variant", self.curve_grasps, VARIANTS)
         _check_names("reference", self.references, REFERENCES)
         if not self.conditions:
             raise MechSearchError(f"no condition is named; choose among {', '.join(CONDITIONS)}")
@@ -96,6 +99,7 @@ class SweepPlan:
 
     def config(self, variant: str, seed: int) -> TrainConfig:
         """Return the configuration of one run."""
+        grasped = self.grasps and variant in self.curve_grasps
         return replace(
             preset_config(variant),
             seed=seed,
@@ -105,6 +109,7 @@ class SweepPlan:
             # Nothing is chosen by validation here, so all training heaps are learnt on.
             validation_heaps=0,
             held_out_heaps=self.curve_heaps,
+            grasp_network=(self.grasp_network or SHIPPED_NETWORK) if grasped else "",
         )
 
 

@@ -56,7 +56,8 @@ class Training(Job):
         """Actions and updates, or pushes tried and fits; and the points of the curve."""
         points = 1 + self.plan.actions // self.plan.curve_every
         action = 0.3 if self.config.pushes.networks else 0.065
-        return action * self.plan.actions + 0.35 * self.plan.curve_heaps * points
+        episode = 0.35 + 0.3 * bool(self.config.grasp_network)
+        return action * self.plan.actions + episode * self.plan.curve_heaps * points
 
     @property
     def directory(self) -> Path:

@@ -154,6 +154,9 @@ def _panel(ax: Axes, condition: Condition, metric: str, variants: Sequence[str],
     for name, (actions, mean) in ends.items():
         label = None if name in drawn else f"{name}, final"
         ax.plot([actions], [mean * scale], "D", color=colour(name), markersize=5, label=label)
+    if not drawn and ends:
+        # Final scores alone: at their place in the panels that have curves.
+        ax.set_xlim(0, 1.05 * max(actions for actions, _ in ends.values()))
     ax.set_ylim(limits[0] * scale, limits[1] * scale)
     draw_levels(ax, metric, levels)
 

@@ -1,16 +1,21 @@
 """Parts of a run from a heap set: environment, teachers and evaluators."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.evaluation.metrics import score
+from mechsearch.evaluation.episodes import EpisodeRecord
+from mechsearch.evaluation.metrics import mean_interval, score
 from mechsearch.evaluation.rollout import run
+from mechsearch.grasp.network import load_network
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teachers
 from mechsearch.train.collector import Evaluator, Parts
-from mechsearch.train.config import TrainConfig
+from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig
+from mechsearch.train.graspability import GraspabilityChange
 from mechsearch.types import MechSearchError, Policy
 
 
@@ -22,18 +27,23 @@ class HeapEvaluator:
         env: The task, with the actor's observations only.
         heaps: Indices of the heaps.
         intervals: Whether to return the mean's confidence interval too.
+        grasped: Returns the change in graspability of an episode's target, where it is measured.
     """
 
     env: HeapEnv
     heaps: tuple[int, ...]
     intervals: bool = False
+    grasped: Callable[[EpisodeRecord], float] | None = None
 
     def __call__(self, policy: Policy) -> dict[str, float]:
         """Return the mean of every metric.
 
         With intervals, `<metric>_ci_low`, `<metric>_ci_high` and the number of `heaps` follow.
         """
-        scores = score(run(policy, self.env, self.heaps))
+        records = run(policy, self.env, self.heaps)
+        scores = score(records)
+        if self.grasped:
+            scores["graspability_change"] = mean_interval([self.grasped(r) for r in records])
         found = {name: estimate.mean for name, estimate in scores.items()}
         if self.intervals:
             found |= {f"{name}_ci_low": estimate.ci_low for name, estimate in scores.items()}
@@ -65,13 +75,21 @@ def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Part
     task = HeapEnvConfig(keys=config.actor_keys, camera=config.camera, image_size=config.image_size)
     env = HeapEnv(heap_set.heaps, objects, replace(task, privileged=True))
     quiet = HeapEnv(heap_set.heaps, objects, task)
-    sets = {"validation": validation, "held_out": watched}
-    evaluators: dict[str, Evaluator] = {
-        name: HeapEvaluator(quiet, tuple(heaps), intervals=name == "held_out")
-        for name, heaps in sets.items()
-        if heaps
-    }
+    evaluators: dict[str, Evaluator] = {}
+    if validation:
+        evaluators["validation"] = HeapEvaluator(quiet, tuple(validation))
+    if watched:
+        grasped = _grasped(config, objects)
+        evaluators["held_out"] = HeapEvaluator(quiet, tuple(watched), True, grasped)
     return Parts(env, learnt, {name: teachers[name] for name in config.teachers}, evaluators)
+
+
+def _grasped(config: TrainConfig, objects: ObjectSet) -> GraspabilityChange | None:
+    if not config.grasp_network:
+        return None
+    shipped = config.grasp_network == SHIPPED_NETWORK
+    network = load_network(None if shipped else Path(config.grasp_network))
+    return GraspabilityChange(network, objects)
 
 
 def _some(heaps: list[int], count: int, what: str) -> list[int]:

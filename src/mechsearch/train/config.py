@@ -17,6 +17,9 @@ from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSe
 
 PURPOSE = "training configuration"
 
+SHIPPED_NETWORK = "shipped"
+"""Names the grasp network that comes with the package."""
+
 CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
 """What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
 
@@ -78,6 +81,8 @@ class TrainConfig:
         validation_heaps: Training heaps set apart to watch the learning.
         held_out_heaps: Held-out heaps to log a curve on, from the untrained actor on; they choose
             nothing.
+        grasp_network: Rates the targets of the held-out heaps too, for a curve of graspability: a
+            file, or "shipped"; empty rates none.
         threads: CPU threads; other numbers give other bits.
         camera: View of all images: "overhead" or "tilted".
         image_size: Side of the images [px].
@@ -102,6 +107,7 @@ class TrainConfig:
     checkpoint_every: int = 1000
     validation_heaps: int = 20
     held_out_heaps: int = 0
+    grasp_network: str = ""
     threads: int = 1
     camera: str = "overhead"
     image_size: int = 64
@@ -118,6 +124,11 @@ class TrainConfig:
         if self.updates_per_action < 0:
             raise MechSearchError(
                 f"updates_per_action is {self.updates_per_action}; expected at least 0"
+            )
+        if self.grasp_network and not self.held_out_heaps:
+            raise MechSearchError(
+                f"grasp_network is {self.grasp_network!r}, and held_out_heaps 0: there are no "
+                "targets to rate; expected more, or no grasp network"
             )
         self._check_roles()
         self._check_pushes()
