@@ -1,3 +1,4 @@
+import hashlib
 import json
 import os
 import shutil
@@ -24,7 +25,7 @@ from mechsearch.experiments.plan import open_plan
 from mechsearch.experiments.status import DONE, FAILED, RUNNING, WAITING, status_of
 from mechsearch.experiments.trials import ReferenceScoring
 from mechsearch.parallel import map_long_work
-from mechsearch.runs import locked
+from mechsearch.runs import locked, read_record, write_record
 from mechsearch.types import MechSearchError
 
 TABLES = ("summary.csv", "curves.csv")
@@ -120,6 +121,23 @@ def test_an_actor_may_be_gone_once_it_is_scored_and_not_before(whole, tiny, tmp_
     assert (
         "actor.safetensors is not what the run ended with" in reasons(found)["single/method-seed0"]
     )
+
+
+def test_scores_of_another_actor_than_the_run_ended_with_are_refused(whole, tiny, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "sweep")
+    folder = SweepFolder(tmp_path / "sweep")
+    run = folder.run("single", "method", 0)
+    (scores,) = folder.evaluations("single").glob("method-*.npz")
+    (run / "actor.safetensors").write_bytes(b"made anew")
+    finished = read_record(run / "finished.json", "record of a finished run")
+    was = finished["actor"]
+    finished["actor"] = hashlib.sha256(b"made anew").hexdigest()
+    kept = {k: finished[k] for k in ("actor", "metrics", "training_actions")}
+    write_record(run / "finished.json", "record of a finished run", kept)
+    assert episodes.load(scores).header["actor"] == was
+    told = reasons(status_of(folder))
+    assert told.keys() == {"single/scores of method-seed0"}
+    assert f"its actor is '{was}'; expected '{kept['actor']}'; move it away" in str(told)
 
 
 def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):

@@ -43,7 +43,7 @@ class Sweep(Command):
         references: What is not trained: random, idle, the teachers, look-ahead.
         curve_heaps: Held-out heaps that curves are drawn on.
         curve_every: Actions between two points of a curve; with plus, its actions are a multiple.
-        curve_grasps: Variants whose curves have graspability too; method, ddpg and plus by default.
+        curve_grasps: Variants whose curves have graspability too; method and ddpg by default.
         final_heaps: Held-out heaps of the final scores.
         grasps: Whether final episodes are measured by graspability and retrieval too.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.

@@ -66,7 +66,7 @@ class SweepPlan:
     references: tuple[str, ...] = REFERENCES
     curve_heaps: int = 50
     curve_every: int = 1000
-    curve_grasps: tuple[str, ...] = ("method", "ddpg", "plus")
+    curve_grasps: tuple[str, ...] = ("method", "ddpg")
     final_heaps: int = 300
     grasps: bool = True
     grasp_network: str = ""

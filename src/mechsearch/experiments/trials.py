@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -74,16 +74,25 @@ class Training(Job):
         """Name, as a pattern, of the recorded episodes of the actor that it ended with."""
         return f"{self.variant}-seed{self.seed}-[0-9]*"
 
+    @property
+    def finished(self) -> dict[str, Any]:
+        """What was written down when the run was over; empty as long as it is not.
+
+        Raises:
+            MechSearchError: If that is damaged.
+        """
+        file = self.directory / FINISHED_FILE
+        return read_record(file, "record of a finished run", ("actor",)) if file.exists() else {}
+
     def is_done(self) -> bool:
         """Return whether the run is over, and its actor the one that it ended with.
 
         Once its episodes are recorded the actor may be gone: actors are most of a folder's size.
         """
         self._check_directory()
-        file = self.directory / FINISHED_FILE
-        if not file.exists():
+        finished = self.finished
+        if not finished:
             return False
-        finished = read_record(file, "record of a finished run", ("actor",))
         actor = self.directory / ACTOR_FILE
         log = self.directory / METRICS_FILE
         # Earlier versions kept no digest of the log.
@@ -94,8 +103,8 @@ class Training(Job):
         for changed, digest in kept.items():
             if digest is None or _digest(changed) != digest:
                 raise MechSearchError(
-                    f"{changed} is not what the run ended with; delete {file} to go on from the "
-                    "run's last checkpoint"
+                    f"{changed} is not what the run ended with; delete "
+                    f"{self.directory / FINISHED_FILE} to go on from the run's last checkpoint"
                 )
         return True
 
@@ -193,6 +202,11 @@ class Scoring(Job):
             "seed": 0,
         }
 
+    @property
+    def _mark(self) -> dict[str, str]:
+        """What is entered into that header besides what an evaluation says of itself."""
+        return {}
+
     def files(self) -> list[Path]:
         """Return the recorded episodes that are there; more than one are too many."""
         return sorted(self.folder.evaluations(self.condition).glob(f"{self._label}.npz"))
@@ -210,11 +224,13 @@ class Scoring(Job):
             names = ", ".join(file.name for file in files)
             raise MechSearchError(f"{files[0].parent} holds {names}; expected one of them")
         evaluation = episodes.load(files[0])
-        for key, value in self._expected.items():
-            if evaluation.header.get(key) != value:
+        for key, value in (self._expected | self._mark).items():
+            # Earlier versions left no mark.
+            found = evaluation.header.get(key, self._mark.get(key))
+            if found != value:
                 raise MechSearchError(
                     f"{files[0]} is not of this sweep: its {key.replace('_', ' ')} is "
-                    f"{evaluation.header.get(key)!r}; expected {value!r}; move it away"
+                    f"{found!r}; expected {value!r}; move it away"
                 )
         if self.plan.grasps and "grasp_network" not in evaluation.header:
             raise MechSearchError(f"{files[0]} is without grasps; move it away")
@@ -235,6 +251,7 @@ class Scoring(Job):
             if self.grasp is None:
                 raise MechSearchError("the plan asks for grasps, and nothing to measure them given")
             evaluation = self.grasp(evaluation)
+        evaluation = replace(evaluation, header={**evaluation.header, **self._mark})
         place = self.folder.evaluations(self.condition)
         episodes.save(place / f"{file_name(evaluation)}.npz", evaluation)
         summary.merge(self.folder.summary, summary.rows_of(self.plan.experiment, evaluation))
@@ -290,11 +307,15 @@ class RunScoring(Scoring):
     @property
     def _expected(self) -> dict[str, Any]:
         run = {"name": self.training.variant, "training_seed": self.training.seed}
-        file = self.training.directory / FINISHED_FILE
-        if file.exists():
-            finished = read_record(file, "record of a finished run", ("actor",))
+        if finished := self.training.finished:
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
+
+    @property
+    def _mark(self) -> dict[str, str]:
+        """The digest of the actor: a run that was made anew may have ended with another one."""
+        finished = self.training.finished
+        return {"actor": finished["actor"]} if finished else {}
 
 
 def _digest(path: Path) -> str | None:
