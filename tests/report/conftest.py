@@ -85,6 +85,9 @@ def evaluations(make_evaluation) -> dict[str, Evaluation]:
     }
 
 
+GRASPED = ("method", "ddpg")
+"""Variants whose curves have graspability too, as a sweep makes them unless told otherwise."""
+
 LEARNT = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
 
 GAINS = {
@@ -132,7 +135,7 @@ def write_sweep(make_evaluation) -> Callable[..., Path]:
         header = {"condition": folder.name}
         if trained:
             header |= {"trained": True, "training_seed": seed, "training_actions": 8000}
-            _write_run(folder / "runs" / f"{name}-seed{seed}", name, gain, seed)
+            _write_run(folder / "runs" / f"{name}-seed{seed}", name, gain, seed, grasps)
         evaluation = make_evaluation(name, gain, heaps, **header)
         episodes = tuple(
             replace(
@@ -147,13 +150,15 @@ def write_sweep(make_evaluation) -> Callable[..., Path]:
         label = f"{name}-seed{seed}-8000" if trained else name
         save(folder / "evaluations" / f"{label}.npz", replace(evaluation, episodes=episodes))
 
-    def _write_run(folder: Path, name: str, gain: float, seed: int) -> None:
+    def _write_run(folder: Path, name: str, gain: float, seed: int, grasps: bool) -> None:
         folder.mkdir(parents=True)
         (folder / "config.json").write_text(json.dumps({"name": name, "seed": seed}))
         lines = []
         for step in (0, 4000, 8000):
             score = {"reward": gain * step / 8000, "visibility_change": gain * step / 10000}
             score |= {"episode_actions": 50 - gain * step / 1000}
+            if grasps and name in GRASPED:
+                score |= {"graspability_change": gain * step / 20_000}
             lines.append({"step": step, "kind": "held_out", **score})
         if name == "plus":
             lines.append(

@@ -56,10 +56,23 @@ def test_figures_have_a_panel_for_each_metric_and_condition(experiment: Experime
     assert len(learning.draw_ablation(experiment).axes) == 4
 
 
-def test_final_scores_without_curves_stand_where_the_curves_end(experiment: Experiment) -> None:
+def test_a_variant_without_a_curve_has_its_final_score_beside_the_curves_of_others(
+    experiment: Experiment,
+) -> None:
     axes = learning.draw_learning(experiment).axes
-    actions = {x for line in axes[6].lines if line.get_marker() == "D" for x in line.get_xdata()}
-    low, high = axes[6].get_xlim()
+    _, labels = axes[6].get_legend_handles_labels()
+    assert {"method", "ddpg", "plus, final"} <= set(labels)
+    # Three seeds and their mean, of each of method and ddpg.
+    assert len([line for line in axes[6].lines if len(line.get_xdata()) == 3]) == 8
+
+
+def test_final_scores_without_any_curve_stand_where_curves_end(
+    write_sweep: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = write_sweep(tmp_path / "s", {"single": {"plus": 0.5, "idle": 0.0}})
+    axes = learning.draw_learning(read_experiment(folder)).axes
+    actions = {x for line in axes[3].lines if line.get_marker() == "D" for x in line.get_xdata()}
+    low, high = axes[3].get_xlim()
     assert low == 0
     assert max(actions) < high < 1.2 * axes[0].get_xlim()[1]
 
@@ -93,8 +106,8 @@ def test_bands_stay_within_the_panel(experiment: Experiment) -> None:
 def test_rows_have_every_value_of_every_seed(experiment: Experiment) -> None:
     head, *rows = learning.curve_rows(experiment)
     assert head == learning.COLUMNS
-    # Two conditions, six variants, three seeds, three steps, three metrics.
-    assert len(rows) == 2 * 6 * 3 * 3 * 3
+    # Two conditions, three seeds, three steps: three metrics of six variants, and a fourth of two.
+    assert len(rows) == 2 * 3 * 3 * (3 * 6 + 2)
     assert ("single", "method", "1", "held-out heaps", "8000", "reward", "0.91", "", "", "") in rows
 
 
