@@ -34,7 +34,7 @@ def test_runs_differ_from_their_presets_in_what_is_watched_alone():
     same = {"seed": 0, "validation_heaps": preset.validation_heaps}
     assert replace(run, **same, held_out_heaps=0, grasp_network="") == preset
     assert plan.config("plus", 0) == replace(
-        preset_config("plus"), held_out_heaps=50, validation_heaps=0, grasp_network="shipped"
+        preset_config("plus"), held_out_heaps=50, validation_heaps=0
     )
 
 
