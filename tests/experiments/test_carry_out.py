@@ -140,6 +140,22 @@ def test_scores_of_another_actor_than_the_run_ended_with_are_refused(whole, tiny
     assert f"its actor is '{was}'; expected '{kept['actor']}'; move it away" in str(told)
 
 
+def test_scores_of_a_run_that_is_not_over_wait_for_its_actor(whole, tiny, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "sweep")
+    folder = SweepFolder(tmp_path / "sweep")
+    (folder.run("single", "method", 0) / "finished.json").unlink()
+    found = states(status_of(folder))
+    assert {name for name in found if found[name] == WAITING} == {
+        "single/method-seed0",
+        "single/scores of method-seed0",
+    }
+    assert set(states(carry_out(tiny, folder.path)).values()) == {DONE}
+    # The run ended with the actor that they are of.
+    assert began(folder.path)["single/scores of method-seed0"] == 1
+    for name in TABLES:
+        assert (folder.path / name).read_bytes() == (whole[0] / name).read_bytes(), name
+
+
 def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):
     path, _ = whole
     tables = [(path / name).read_bytes() for name in TABLES]

@@ -224,9 +224,10 @@ class Scoring(Job):
             names = ", ".join(file.name for file in files)
             raise MechSearchError(f"{files[0].parent} holds {names}; expected one of them")
         evaluation = episodes.load(files[0])
-        for key, value in (self._expected | self._mark).items():
+        mark = self._mark
+        for key, value in (self._expected | mark).items():
             # Earlier versions left no mark.
-            found = evaluation.header.get(key, self._mark.get(key))
+            found = evaluation.header.get(key, mark.get(key))
             if found != value:
                 raise MechSearchError(
                     f"{files[0]} is not of this sweep: its {key.replace('_', ' ')} is "
@@ -310,6 +311,10 @@ class RunScoring(Scoring):
         if finished := self.training.finished:
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
+
+    def is_done(self) -> bool:
+        """Return whether the episodes are recorded, and of the actor that the run ended with."""
+        return bool(self.training.finished) and super().is_done()
 
     @property
     def _mark(self) -> dict[str, str]:
