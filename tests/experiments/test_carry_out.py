@@ -54,6 +54,12 @@ def whole(tiny, tmp_path_factory):
 
 
 @pytest.fixture
+def copy(whole, tmp_path):
+    """That sweep's folder once more, to be tampered with."""
+    return SweepFolder(Path(shutil.copytree(whole[0], tmp_path / "sweep")))
+
+
+@pytest.fixture
 def few(tiny):
     """References alone: seconds."""
     return replace(tiny, variants=(), seeds=(), references=("idle", "random"))
@@ -107,27 +113,23 @@ def test_what_is_finished_is_not_repeated(whole, tiny):
     assert [(path / name).read_bytes() for name in TABLES] == tables
 
 
-def test_an_actor_may_be_gone_once_it_is_scored_and_not_before(whole, tiny, tmp_path):
-    shutil.copytree(whole[0], tmp_path / "sweep")
-    folder = SweepFolder(tmp_path / "sweep")
-    (folder.run("single", "method", 0) / "actor.safetensors").unlink()
+def test_an_actor_may_be_gone_once_it_is_scored_and_not_before(whole, copy, tiny):
+    (copy.run("single", "method", 0) / "actor.safetensors").unlink()
     tables = [(whole[0] / name).read_bytes() for name in TABLES]
-    assert set(states(carry_out(tiny, folder.path)).values()) == {DONE}
-    assert [(folder.path / name).read_bytes() for name in TABLES] == tables
-    assert began(folder.path) == began(whole[0])
-    (scores,) = folder.evaluations("single").glob("method-*.npz")
+    assert set(states(carry_out(tiny, copy.path)).values()) == {DONE}
+    assert [(copy.path / name).read_bytes() for name in TABLES] == tables
+    assert began(copy.path) == began(whole[0])
+    (scores,) = copy.evaluations("single").glob("method-*.npz")
     scores.unlink()
-    found = carry_out(tiny, folder.path)
+    found = carry_out(tiny, copy.path)
     assert (
         "actor.safetensors is not what the run ended with" in reasons(found)["single/method-seed0"]
     )
 
 
-def test_scores_of_another_actor_than_the_run_ended_with_are_refused(whole, tiny, tmp_path):
-    shutil.copytree(whole[0], tmp_path / "sweep")
-    folder = SweepFolder(tmp_path / "sweep")
-    run = folder.run("single", "method", 0)
-    (scores,) = folder.evaluations("single").glob("method-*.npz")
+def test_scores_of_another_actor_than_the_run_ended_with_are_refused(copy):
+    run = copy.run("single", "method", 0)
+    (scores,) = copy.evaluations("single").glob("method-*.npz")
     (run / "actor.safetensors").write_bytes(b"made anew")
     finished = read_record(run / "finished.json", "record of a finished run")
     was = finished["actor"]
@@ -135,25 +137,23 @@ def test_scores_of_another_actor_than_the_run_ended_with_are_refused(whole, tiny
     kept = {k: finished[k] for k in ("actor", "metrics", "training_actions")}
     write_record(run / "finished.json", "record of a finished run", kept)
     assert episodes.load(scores).header["actor"] == was
-    told = reasons(status_of(folder))
+    told = reasons(status_of(copy))
     assert told.keys() == {"single/scores of method-seed0"}
     assert f"its actor is '{was}'; expected '{kept['actor']}'; move it away" in str(told)
 
 
-def test_scores_of_a_run_that_is_not_over_wait_for_its_actor(whole, tiny, tmp_path):
-    shutil.copytree(whole[0], tmp_path / "sweep")
-    folder = SweepFolder(tmp_path / "sweep")
-    (folder.run("single", "method", 0) / "finished.json").unlink()
-    found = states(status_of(folder))
+def test_scores_of_a_run_that_is_not_over_wait_for_its_actor(whole, copy, tiny):
+    (copy.run("single", "method", 0) / "finished.json").unlink()
+    found = states(status_of(copy))
     assert {name for name in found if found[name] == WAITING} == {
         "single/method-seed0",
         "single/scores of method-seed0",
     }
-    assert set(states(carry_out(tiny, folder.path)).values()) == {DONE}
+    assert set(states(carry_out(tiny, copy.path)).values()) == {DONE}
     # The run ended with the actor that they are of.
-    assert began(folder.path)["single/scores of method-seed0"] == 1
+    assert began(copy.path)["single/scores of method-seed0"] == 1
     for name in TABLES:
-        assert (folder.path / name).read_bytes() == (whole[0] / name).read_bytes(), name
+        assert (copy.path / name).read_bytes() == (whole[0] / name).read_bytes(), name
 
 
 def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):

@@ -312,15 +312,15 @@ class RunScoring(Scoring):
             run["training_actions"] = finished["training_actions"]
         return super()._expected | run
 
-    def is_done(self) -> bool:
-        """Return whether the episodes are recorded, and of the actor that the run ended with."""
-        return bool(self.training.finished) and super().is_done()
-
     @property
     def _mark(self) -> dict[str, str]:
         """The digest of the actor: a run that was made anew may have ended with another one."""
         finished = self.training.finished
         return {"actor": finished["actor"]} if finished else {}
+
+    def is_done(self) -> bool:
+        """Return whether the episodes are recorded, and of the actor that the run ended with."""
+        return bool(self.training.finished) and super().is_done()
 
 
 def _digest(path: Path) -> str | None:
