@@ -13,9 +13,9 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
-from mechsearch.agent.ddpg import Learner
-from mechsearch.agent.networks import Encoder, NetworkConfig
-from mechsearch.agent.replay import Replay
+from mechsearch.actor_critic.learner import Learner
+from mechsearch.actor_critic.networks import Encoder, NetworkConfig
+from mechsearch.actor_critic.replay import Replay
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.train.config import TrainConfig, preset_config
 from mechsearch.types import ACTOR_KEYS, Array

@@ -13,7 +13,7 @@ from benchmarks.results import Figure
 from benchmarks.settings import Settings
 from benchmarks.workload import Workload
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.vector import VectorHeapEnv
+from mechsearch.env.vector.vector_env import VectorHeapEnv
 from mechsearch.types import Array
 
 ENVS = 32

@@ -18,9 +18,10 @@ from stable_baselines3 import DDPG, SAC, TD3
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from mechsearch.agent.networks import Actor, Encoder, NetworkConfig
-from mechsearch.agent.policy import ACTOR_FILE, ActorPolicy, save_actor
-from mechsearch.runs import write_json
+from mechsearch.actor_critic.networks import Actor, Encoder, NetworkConfig
+from mechsearch.actor_critic.policy import ActorPolicy, save_actor
+from mechsearch.files import write_json
+from mechsearch.files.layout import POLICY_FILE
 
 ALGORITHMS = {"ddpg": DDPG, "td3": TD3, "sac": SAC}
 
@@ -107,7 +108,7 @@ def main(run):
     rewards = [episode["r"] for episode in model.ep_info_buffer]
     config = {**asdict(run), "name": f"sb3-{run.algorithm}", "out": str(run.out)}
     write_json(run.out / "config.json", config)
-    save_actor(ActorPolicy(actor_of(model), model.num_timesteps), run.out / ACTOR_FILE)
+    save_actor(ActorPolicy(actor_of(model), model.num_timesteps), run.out / POLICY_FILE)
     print(f"{config['name']}: {model.num_timesteps} actions, last episodes' mean reward", end=" ")
     print(f"{np.mean(rewards):.1f}; the actor is in {run.out}")
 

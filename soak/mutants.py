@@ -59,24 +59,24 @@ SUBJECTS = (
         ("tests/render/test_visibility.py", "tests/render/test_renderer.py"),
     ),
     Subject(
-        "mechsearch.agent.ddpg",
+        "mechsearch.actor_critic.learner",
         ("alpha_divergence", "bellman_target", "_target_value", "_tensors"),
-        ("tests/agent/test_targets.py",),
+        ("tests/actor_critic/test_targets.py",),
     ),
     Subject(
-        "mechsearch.agent.ddpg",
+        "mechsearch.actor_critic.learner",
         ("straying", "update_target"),
         (
-            "tests/agent/test_ddpg.py::test_straying_is_one_less_the_mean_cosine_to_what_teachers_did",
-            "tests/agent/test_ddpg.py::test_targets_move_by_the_share_tau",
-            "tests/agent/test_ddpg.py::"
+            "tests/actor_critic/test_ddpg.py::test_straying_is_one_less_the_mean_cosine_to_what_teachers_did",
+            "tests/actor_critic/test_ddpg.py::test_targets_move_by_the_share_tau",
+            "tests/actor_critic/test_ddpg.py::"
             "test_the_actor_that_is_evaluated_begins_as_the_mean_of_all_actors",
         ),
     ),
     Subject(
-        "mechsearch.agent.replay",
+        "mechsearch.actor_critic.replay",
         ("__len__", "add", "end", "_judge", "_write", "sample", "_look_ahead"),
-        ("tests/agent/test_replay.py", "tests/agent/test_targets.py"),
+        ("tests/actor_critic/test_replay.py", "tests/actor_critic/test_targets.py"),
     ),
 )
 

@@ -15,7 +15,7 @@ from mechsearch.cli.evaluation import file_name, named
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.metrics import METRICS
-from mechsearch.runs import read_record, write_record
+from mechsearch.files import read_record, write_record
 from mechsearch.types import MechSearchError
 
 

@@ -13,18 +13,18 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from mechsearch.agent.policy import load_actor
-from mechsearch.agent.trained import load_policy
+from mechsearch.actor_critic.policy import load_actor
 from mechsearch.evaluation import episodes, summary
+from mechsearch.files import read_json
 from mechsearch.grasp.image_file import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.archive import model_from_npz
 from mechsearch.objects.masses import read_masses
-from mechsearch.objects.mesh_file import read_pieces
-from mechsearch.runs import read_json
+from mechsearch.objects.meshes.archive import model_from_npz
+from mechsearch.objects.meshes.mesh_file import read_pieces
+from mechsearch.push_values.session import load_episode
 from mechsearch.train.config import TrainConfig, load_config
-from mechsearch.train.push_session import load_episode
+from mechsearch.train.trained import load_policy
 from mechsearch.types import MechSearchError
 
 READERS = {

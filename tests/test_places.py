@@ -15,7 +15,13 @@ import numpy as np
 import pytest
 
 from mechsearch.cli import main
-from mechsearch.runs import append_line, check_place, locked, write_json, write_whole
+from mechsearch.files import (
+    append_line,
+    check_place,
+    locked,
+    write_json,
+    write_whole,
+)
 from mechsearch.types import MechSearchError
 
 HEAPS = str(resources.files("mechsearch.heaps") / "household_single.parquet")
@@ -152,7 +158,7 @@ def write_arrays(path: Path) -> None:
 
 def write_tensors(path: Path) -> None:
     torch = pytest.importorskip("torch")
-    weights = pytest.importorskip("mechsearch.agent.weights")
+    weights = pytest.importorskip("mechsearch.files.tensors")
     weights.save_archive(path, weights.Archive("large", {"noise": torch.rand(40_000)}, {}))
 
 
@@ -192,7 +198,7 @@ HOLDER = """
 import sys, time
 from contextlib import ExitStack
 from pathlib import Path
-from mechsearch.runs import locked
+from mechsearch.files import locked
 with ExitStack() as stack:
     for path in sys.argv[1:]:
         stack.enter_context(locked(Path(path)))

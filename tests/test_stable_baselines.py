@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.agent.policy import ActorPolicy, load_actor, save_actor
+from mechsearch.actor_critic.policy import ActorPolicy, load_actor, save_actor
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "04_stable_baselines.py"
 

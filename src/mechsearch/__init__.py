@@ -15,7 +15,7 @@ import gymnasium
 if TYPE_CHECKING:
     from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
     from mechsearch.env.register import make_env, make_vector_env
-    from mechsearch.env.vector import VectorHeapEnv
+    from mechsearch.env.vector.vector_env import VectorHeapEnv
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.heaps.dataset import load as load_heaps
     from mechsearch.heaps.generate import GenerateConfig, generate
@@ -28,7 +28,7 @@ _PLACES = {
     "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
-    "VectorHeapEnv": "env.vector:VectorHeapEnv",
+    "VectorHeapEnv": "env.vector.vector_env:VectorHeapEnv",
     "generate": "heaps.generate:generate",
     "load_heaps": "heaps.dataset:load",
     "load_object_set": "objects.catalog:load_object_set",

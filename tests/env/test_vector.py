@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.vector import VectorHeapEnv
+from mechsearch.env.vector.vector_env import VectorHeapEnv
 from mechsearch.types import MechSearchError
 
 SEEDS = (101, 102, 103, 104)

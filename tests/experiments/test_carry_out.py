@@ -24,8 +24,12 @@ from mechsearch.experiments.journal import BEGAN, Journal
 from mechsearch.experiments.plan import open_plan
 from mechsearch.experiments.status import DONE, FAILED, RUNNING, WAITING, status_of
 from mechsearch.experiments.trials import ReferenceScoring
-from mechsearch.parallel import map_long_work
-from mechsearch.runs import locked, read_record, write_record
+from mechsearch.files import (
+    locked,
+    read_record,
+    write_record,
+)
+from mechsearch.processes import map_long_work
 from mechsearch.types import MechSearchError
 
 TABLES = ("summary.csv", "curves.csv")
@@ -168,9 +172,9 @@ def test_what_a_kill_kept_from_the_tables_is_entered_later(whole, tiny):
 KILLED = """
 import json, sys
 from pathlib import Path
-from mechsearch.agent.records import record_from_json
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.plan import SweepPlan
+from mechsearch.files import record_from_json
 if __name__ == "__main__":
     plan = record_from_json(SweepPlan, json.loads(sys.argv[1]))
     carry_out(plan, Path(sys.argv[2]))

@@ -4,7 +4,7 @@ import pytest
 
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.experiments.curves import write_curves
-from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.train.config import preset_config, save_config
 from mechsearch.train.log import RunLog
 

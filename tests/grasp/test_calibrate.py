@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.grasp.calibrate import Trial, TrialTask, calibrate, try_state
+from mechsearch.grasp.learning.calibrate import Trial, TrialTask, calibrate, try_state
 from mechsearch.types import MechSearchError
 
 

@@ -3,9 +3,9 @@ import pytest
 import torch
 
 from mechsearch.grasp.candidates import ImageGrasp, angle_bin
-from mechsearch.grasp.fit import NETWORK, FitConfig, fit, predict, split_by_heap, turned
-from mechsearch.grasp.grasp_set import OUTCOMES, Grasps
-from mechsearch.grasp.metrics import judge
+from mechsearch.grasp.learning.fit import NETWORK, FitConfig, fit, predict, split_by_heap, turned
+from mechsearch.grasp.learning.grasp_set import OUTCOMES, Grasps
+from mechsearch.grasp.learning.metrics import judge
 from mechsearch.grasp.network import load_network
 from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError

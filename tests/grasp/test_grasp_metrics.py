@@ -3,7 +3,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.grasp.metrics import auc, average_precision, judge, paired_gain, reliability
+from mechsearch.grasp.learning.metrics import (
+    auc,
+    average_precision,
+    judge,
+    paired_gain,
+    reliability,
+)
 from mechsearch.types import MechSearchError
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mechsearch.grasp.candidates import ImageGrasp
-from mechsearch.grasp.grasp_set import MANIFEST, OUTCOMES, GraspFolder, load_grasps
-from mechsearch.grasp.label import LabelConfig, label, thumbnail
+from mechsearch.grasp.learning.grasp_set import MANIFEST, OUTCOMES, GraspFolder, load_grasps
+from mechsearch.grasp.learning.label import LabelConfig, label, thumbnail
 from mechsearch.grasp.view import view_of_heap
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate

@@ -10,8 +10,8 @@ from mechsearch.env.register import embedded_heaps, make_env
 from mechsearch.heaps.dataset import check_objects, heap_from_json, heap_to_json, load, save, verify
 from mechsearch.heaps.generate import GenerateConfig, attempt, generate
 from mechsearch.objects.catalog import load_object_set
+from mechsearch.processes import Failure
 from mechsearch.types import MechSearchError
-from mechsearch.workers import Failure
 
 SMALL = GenerateConfig(heaps=4, counts=(5, 6), seed=5)
 

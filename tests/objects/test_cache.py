@@ -9,11 +9,11 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mechsearch.objects import cache, convex, prepare
-from mechsearch.objects.archive import model_from_npz, model_to_npz
-from mechsearch.objects.cache import cache_folder, cache_key, cached, prepare_into
+from mechsearch.objects.meshes import cache, convex, prepare
+from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
+from mechsearch.objects.meshes.cache import cache_folder, cache_key, cached, prepare_into
+from mechsearch.objects.meshes.prepare import Source
 from mechsearch.objects.model import ObjectModel
-from mechsearch.objects.prepare import Source
 from mechsearch.types import MechSearchError
 
 

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from mechsearch.objects import convex
-from mechsearch.objects.convex import MOST_PARTS, convex_parts, single_hull
-from mechsearch.objects.hull import HULL_VERTICES
+from mechsearch.objects.meshes import convex
+from mechsearch.objects.meshes.convex import MOST_PARTS, convex_parts, single_hull
+from mechsearch.objects.meshes.hull import HULL_VERTICES
 from mechsearch.types import MechSearchError
 
 

@@ -12,8 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from mechsearch.objects.download import pull_ycb
-from mechsearch.objects.transfer import Patience
+from mechsearch.objects.ycb.download import pull_ycb
+from mechsearch.objects.ycb.transfer import Patience
 from mechsearch.types import MechSearchError
 
 IMPATIENT = Patience(tries=3, wait=0.0, timeout=5.0)

@@ -53,7 +53,7 @@ def test_what_is_in_the_cache_is_not_prepared_again(folder, monkeypatch):
     def refuse(*_):
         raise AssertionError("prepared again")
 
-    monkeypatch.setattr("mechsearch.objects.parallel.prepare_into", refuse)
+    monkeypatch.setattr("mechsearch.objects.meshes.parallel.prepare_into", refuse)
     assert list(load_folder(folder).models) == ["brick", "cube"]
 
 
@@ -84,7 +84,7 @@ def test_corrupt_meshes_are_one_error_that_names_them_and_the_rest_is_kept(folde
         load_folder(folder, workers=1)
     (folder / "cube.glb").unlink()
     (folder / "plank.stl").unlink()
-    monkeypatch.setattr("mechsearch.objects.parallel.prepare_into", None)
+    monkeypatch.setattr("mechsearch.objects.meshes.parallel.prepare_into", None)
     assert list(load_folder(folder).models) == ["brick"]
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
-from mechsearch.objects.hull import (
+from mechsearch.objects.meshes.hull import (
     HULL_VERTICES,
     as_mesh,
     hull_error,

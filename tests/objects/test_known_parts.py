@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.objects import convex, known_parts
-from mechsearch.objects.convex import ConvexParts
-from mechsearch.objects.hull import hull_error
-from mechsearch.objects.mesh_file import joined, read_pieces
+from mechsearch.objects.meshes import convex, known_parts
+from mechsearch.objects.meshes.convex import ConvexParts
+from mechsearch.objects.meshes.hull import hull_error
+from mechsearch.objects.meshes.mesh_file import joined, read_pieces
 
 YCB = Path(__file__).parents[2].parent / "shared" / "ycb"
 NAMES = ("024_bowl", "011_banana", "073-b_lego_duplo")

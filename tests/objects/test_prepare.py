@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from mechsearch.objects.folder import SCAN
-from mechsearch.objects.prepare import FRICTION, MOST_FACES, Source, prepare, simplified
-from mechsearch.objects.texels import colour_of_name
+from mechsearch.objects.meshes.prepare import FRICTION, MOST_FACES, Source, prepare, simplified
+from mechsearch.objects.meshes.texels import colour_of_name
 from mechsearch.types import MechSearchError
 
 

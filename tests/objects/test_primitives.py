@@ -7,10 +7,25 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from mechsearch.objects.assembly import assemble, hausdorff, moments_of, triangle_distances
 from mechsearch.objects.hashing import content_hash
-from mechsearch.objects.paint import band, blend, dots, every, layers, panel, plain, seam, spot
-from mechsearch.objects.primitives import (
+from mechsearch.objects.household.assembly import (
+    assemble,
+    hausdorff,
+    moments_of,
+    triangle_distances,
+)
+from mechsearch.objects.household.paint import (
+    band,
+    blend,
+    dots,
+    every,
+    layers,
+    panel,
+    plain,
+    seam,
+    spot,
+)
+from mechsearch.objects.household.primitives import (
     TEXEL_ROWS,
     box,
     cylinder,

@@ -6,7 +6,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual import TextureVisuals
 
-from mechsearch.objects.texels import bake_texels, barycentric_grid, colour_of_name
+from mechsearch.objects.meshes.texels import bake_texels, barycentric_grid, colour_of_name
 
 RED, BLUE = [200, 0, 0, 255], [0, 0, 200, 255]
 

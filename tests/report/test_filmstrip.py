@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 
 from mechsearch.camera import preset
-from mechsearch.report.filmstrip import (
+from mechsearch.pictures.filmstrip import (
     PATH_COLOUR,
     Film,
     FilmConfig,

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.report.sheet import heap_sheet, object_sheet
+from mechsearch.pictures.sheet import heap_sheet, object_sheet
 from mechsearch.types import MechSearchError
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from mechsearch.report.filmstrip import Film, FilmConfig
-from mechsearch.report.video import write_film
+from mechsearch.pictures.filmstrip import Film, FilmConfig
+from mechsearch.pictures.video import write_film
 from mechsearch.types import MechSearchError
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mechsearch.env.register import embedded_heaps
-from mechsearch.objects.household import household
+from mechsearch.objects.household.object_set import household
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.sim.settle import AWAKE

@@ -6,9 +6,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mechsearch.agent.ddpg import LearnerConfig
-from mechsearch.agent.networks import NetworkConfig
-from mechsearch.train.collector import Parts
+from mechsearch.actor_critic.collector import Parts
+from mechsearch.actor_critic.learner import LearnerConfig
+from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.train.config import TrainConfig
 from mechsearch.types import TEACHER_KEYS
 

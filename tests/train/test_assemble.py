@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.agent.networks import NetworkConfig
-from mechsearch.agent.policy import load_actor
-from mechsearch.agent.weights import load_archive
+from mechsearch.actor_critic.networks import NetworkConfig
+from mechsearch.actor_critic.policy import load_actor
+from mechsearch.files import read_lines
+from mechsearch.files.tensors import load_archive
 from mechsearch.heaps.dataset import HeapSet, load, object_set
-from mechsearch.runs import read_lines
 from mechsearch.train.assemble import assemble
 from mechsearch.train.checkpoint import KIND
 from mechsearch.train.config import PRESETS

@@ -11,33 +11,34 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch import runs
-from mechsearch.agent import weights
-from mechsearch.agent.policy import load_actor
-from mechsearch.agent.push_policy import (
-    PushPolicy,
-    PushPolicyConfig,
-    load_push_policy,
-    save_push_policy,
-)
-from mechsearch.agent.push_value import Ahead, PushSamples, PushValue, PushValueConfig
+from mechsearch import files
+from mechsearch.actor_critic.policy import load_actor
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.journal import Journal
 from mechsearch.experiments.plan import QUICK, read_plan
-from mechsearch.grasp import grasp_set
-from mechsearch.grasp.grasp_set import GraspFolder, Grasps, load_grasps
+from mechsearch.files import records
+from mechsearch.files import tensors as weights
+from mechsearch.grasp.learning import grasp_set
+from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.archive import model_from_npz, model_to_npz
+from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
+from mechsearch.push_values.policy import (
+    PushPolicy,
+    PushPolicyConfig,
+    load_push_policy,
+    save_push_policy,
+)
+from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
+from mechsearch.push_values.value import Ahead, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes import NUMBERS, PATCH
 from mechsearch.report.curves import read_run
 from mechsearch.train import checkpoint
 from mechsearch.train.checkpoint import RunDirectory
 from mechsearch.train.config import load_config
 from mechsearch.train.loop import train
-from mechsearch.train.push_session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.train.trial import TrialInputs
 from mechsearch.types import MechSearchError
 
@@ -89,7 +90,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         return write
 
     def record(name, purpose, content):
-        return lambda folder: runs.write_record(folder / name, purpose, content)
+        return lambda folder: files.write_record(folder / name, purpose, content)
 
     rng = np.random.default_rng(1)
     grasps = Grasps(
@@ -126,7 +127,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
 
     actor = "actor.safetensors"
     of_run = ("config.json", "metrics.jsonl", last)
-    record_format, archive_format = (runs, "RECORD"), (weights, "FORMAT")
+    record_format, archive_format = (records, "RECORD"), (weights, "FORMAT")
     kinds = {
         "heap set": Kind(
             "heaps.parquet",
@@ -201,7 +202,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         "record of a finished run": Kind(
             "finished.json",
             record("finished.json", over, {"actor": "ab12", "training_actions": 60}),
-            lambda f: runs.read_record(f / "finished.json", over, ["actor"]),
+            lambda f: files.read_record(f / "finished.json", over, ["actor"]),
             record_format,
         ),
         "journal of a sweep": Kind(
@@ -319,7 +320,7 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
     if name == "run configuration":
         content = json.loads(file.read_text())
         del content["check"], content["record"], content["kind"]
-        runs.write_record(file, "training configuration", content)
+        files.write_record(file, "training configuration", content)
         return
     with pytest.MonkeyPatch.context() as now:
         now.setattr(weights, "FORMAT", 1)
@@ -332,17 +333,17 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
 def test_a_record_of_an_earlier_version_has_no_checksum_and_is_read(tmp_path):
     file = tmp_path / "finished.json"
     file.write_text('{"actor": "ab12"}')
-    assert runs.read_record(file, "record") == {"actor": "ab12"}
+    assert files.read_record(file, "record") == {"actor": "ab12"}
     (tmp_path / "old.jsonl").write_text('{"step": 1}\n{"step": 2}\n{"step"')
-    assert list(runs.read_lines(tmp_path / "old.jsonl")) == [{"step": 1}, {"step": 2}]
+    assert list(files.read_lines(tmp_path / "old.jsonl")) == [{"step": 1}, {"step": 2}]
 
 
 def test_what_was_changed_by_hand_is_told(tmp_path):
     file = tmp_path / "config.json"
-    runs.write_record(file, "configuration", {"seed": 1})
+    files.write_record(file, "configuration", {"seed": 1})
     file.write_text(file.read_text().replace('"seed": 1', '"seed": 2'))
     with pytest.raises(MechSearchError, match="changed by hand"):
-        runs.read_record(file, "configuration")
+        files.read_record(file, "configuration")
 
 
 def test_the_shipped_grasp_network_is_the_one_of_its_card():

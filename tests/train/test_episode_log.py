@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from mechsearch.agent.weights import Archive
-from mechsearch.runs import read_lines
-from mechsearch.train.episode import EpisodeLog
+from mechsearch.actor_critic.episode_log import EpisodeLog
+from mechsearch.files import read_lines
+from mechsearch.files.tensors import Archive
 from mechsearch.train.log import RunLog
 
 INFO = {"end": "uncovered", "occlusion": 0.01, "reward_terms": {"visible": 1.0, "idle": -0.5}}

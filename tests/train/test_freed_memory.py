@@ -8,7 +8,7 @@ import pytest
 FAULTS = """
 import ctypes, resource, sys
 import numpy as np
-from mechsearch.train.freed_memory import keep_freed_memory
+from mechsearch.actor_critic.freed_memory import keep_freed_memory
 
 kept = keep_freed_memory() if sys.argv[1] == "keep" else None
 def allocate():
@@ -40,7 +40,7 @@ def test_arrays_are_made_anew_without_page_faults():
 
 
 def test_elsewhere_nothing_changes(monkeypatch):
-    from mechsearch.train import freed_memory
+    from mechsearch.actor_critic import freed_memory
 
     monkeypatch.setattr(freed_memory.sys, "platform", "other")
     assert freed_memory.keep_freed_memory() is False

@@ -7,7 +7,7 @@ from mechsearch.cli.graspability import Grasping
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
-from mechsearch.parallel import silent
+from mechsearch.processes import silent
 from mechsearch.train.graspability import GraspabilityChange
 
 

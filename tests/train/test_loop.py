@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.agent.guidance import Guidance
-from mechsearch.agent.policy import load_actor
-from mechsearch.agent.weights import load_archive, save_archive
-from mechsearch.runs import read_lines
+from mechsearch.actor_critic.guidance import Guidance
+from mechsearch.actor_critic.policy import load_actor
+from mechsearch.actor_critic.session import Session
+from mechsearch.files import read_lines
+from mechsearch.files.tensors import load_archive, save_archive
 from mechsearch.train.loop import train
-from mechsearch.train.session import Session
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 

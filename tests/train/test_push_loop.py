@@ -8,19 +8,23 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from mechsearch.agent import weights
-from mechsearch.agent.push_policy import PushPolicyConfig
-from mechsearch.agent.push_value import PushValueConfig
-from mechsearch.agent.trained import load_policy
+from mechsearch.actor_critic.collector import Parts
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.files import (
+    read_lines,
+)
+from mechsearch.files import (
+    tensors as weights,
+)
+from mechsearch.push_values.policy import PushPolicyConfig
+from mechsearch.push_values.session import PushSession, load_episode
+from mechsearch.push_values.tries import Trials, carry_out
+from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes import draw_pushes, look
 from mechsearch.report import curves
-from mechsearch.runs import read_lines
-from mechsearch.train.collector import Parts
 from mechsearch.train.config import PushLearningConfig, preset_config
 from mechsearch.train.push_loop import learn_pushes
-from mechsearch.train.push_session import PushSession, load_episode
-from mechsearch.train.push_tries import Trials, carry_out
+from mechsearch.train.trained import load_policy
 from mechsearch.types import MechSearchError
 
 

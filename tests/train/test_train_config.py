@@ -3,7 +3,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from mechsearch.agent.ddpg import LearnerConfig
+from mechsearch.actor_critic.learner import LearnerConfig
 from mechsearch.train.config import (
     PRESETS,
     PushLearningConfig,

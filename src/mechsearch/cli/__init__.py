@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from mechsearch.runs import REFUSALS, not_written
+from mechsearch.files import REFUSALS, not_written
 from mechsearch.types import MechSearchError
 
 

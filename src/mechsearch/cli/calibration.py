@@ -8,11 +8,11 @@ import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
 from mechsearch.evaluation import episodes
-from mechsearch.grasp.calibrate import Calibration, TrialTask, calibrate, try_all
+from mechsearch.files import write_json, write_text
+from mechsearch.grasp.learning.calibrate import Calibration, TrialTask, calibrate, try_all
 from mechsearch.grasp.network import SHIPPED, load_network
 from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
-from mechsearch.runs import write_json, write_text
 from mechsearch.types import MechSearchError
 
 

@@ -14,7 +14,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.parallel import PROCESSORS, Mapper, Progress, map_in_order
+from mechsearch.processes import PROCESSORS, Mapper, Progress, map_in_order
 from mechsearch.train.progress import progress_bars
 from mechsearch.types import MechSearchError
 
@@ -66,7 +66,7 @@ def spread(workers: int, ray: bool, address: str) -> Iterator[tuple[int, Mapper]
         return
     if importlib.util.find_spec("ray") is None:
         raise MechSearchError("--ray and --ray-address need Ray: install mechsearch[ray]")
-    cluster = importlib.import_module("mechsearch.experiments.cluster")
+    cluster = importlib.import_module("mechsearch.processes.ray_cluster")
     with cluster.connected(address, workers) as processors:
         yield processors, cluster.ray_map
 

@@ -10,9 +10,9 @@ from mechsearch.cli.heaps import describe
 from mechsearch.cli.reporting import Report
 from mechsearch.cli.training import Train
 from mechsearch.evaluation.policies import policy_names
+from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.heaps.dataset import load
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import preset_config
 
 

@@ -17,12 +17,12 @@ from mechsearch.evaluation.metrics import METRICS
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
 from mechsearch.evaluation.shipped import SHIPPED
-from mechsearch.parallel import Mapper
+from mechsearch.files import check_place, write_whole
+from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
+from mechsearch.pictures.video import FORMATS, write_film
+from mechsearch.processes import Mapper
 from mechsearch.report import tables
-from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.report.page import pictured
-from mechsearch.report.video import FORMATS, write_film
-from mechsearch.runs import check_place, write_whole
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 

@@ -9,15 +9,15 @@ import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
-from mechsearch.grasp.fit import NETWORK, FitConfig, fit, predict
-from mechsearch.grasp.grasp_set import OUTCOMES, load_grasps
-from mechsearch.grasp.label import LabelConfig, label
-from mechsearch.grasp.metrics import Verdict, judge, paired_gain, reliability
+from mechsearch.files import write_json, write_text
+from mechsearch.grasp.learning.fit import NETWORK, FitConfig, fit, predict
+from mechsearch.grasp.learning.grasp_set import OUTCOMES, load_grasps
+from mechsearch.grasp.learning.label import LabelConfig, label
+from mechsearch.grasp.learning.metrics import Verdict, judge, paired_gain, reliability
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import load
 from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
-from mechsearch.runs import write_json, write_text
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecor
 from mechsearch.evaluation.metrics import score
 from mechsearch.grasp.network import SHIPPED
 from mechsearch.grasp.standing import Standing, StandingTask, measure_all
-from mechsearch.parallel import Progress
+from mechsearch.processes import Progress
 from mechsearch.report.tables import Table, cell
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
+from mechsearch.files import write_whole
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, load, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.heaps.heap import Heap
-from mechsearch.report.sheet import heap_sheet
+from mechsearch.pictures.sheet import heap_sheet
 from mechsearch.report.tables import Table, to_text
-from mechsearch.runs import write_whole
 
 
 @dataclass(frozen=True)

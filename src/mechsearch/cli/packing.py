@@ -8,15 +8,13 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.agent.trained import load_policy, save_policy
 from mechsearch.cli.command import Command, wrote
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.summary import rows_of
-from mechsearch.runs import check_place, read_lines, read_record, write_json
-from mechsearch.train.checkpoint import CONFIG_FILE
-from mechsearch.train.log import METRICS_FILE
-from mechsearch.train.trial import INPUTS_FILE
+from mechsearch.files import check_place, read_lines, read_record, write_json
+from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE, METRICS_FILE
+from mechsearch.train.trained import load_policy, save_policy
 from mechsearch.types import MechSearchError
 
 

@@ -13,12 +13,13 @@ from mechsearch.cli.command import Command, models_of, say, wrote
 from mechsearch.cli.evaluation import named
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.files import write_text
+from mechsearch.files.layout import METRICS_FILE
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import curves, document, experiment_report, page, tables
 from mechsearch.report.experiment import Experiment, is_experiment, read_experiment
 from mechsearch.report.intervals import draw_summary
 from mechsearch.report.pdf import write_pdf
-from mechsearch.runs import write_text
 from mechsearch.types import MechSearchError
 
 
@@ -148,5 +149,5 @@ def _files(sources: Sequence[Path]) -> list[Path]:
 
 
 def _runs(sources: Sequence[Path]) -> list[Path]:
-    logs = [log for source in sources for log in sorted(source.rglob(curves.METRICS_FILE))]
+    logs = [log for source in sources for log in sorted(source.rglob(METRICS_FILE))]
     return list(dict.fromkeys(log.parent for log in logs))

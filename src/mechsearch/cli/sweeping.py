@@ -19,7 +19,7 @@ from mechsearch.experiments.status import (
     status_of,
 )
 from mechsearch.grasp.network import load_network
-from mechsearch.parallel import map_in_order, map_long_work, silent
+from mechsearch.processes import map_in_order, map_long_work, silent
 from mechsearch.report.tables import Table, to_text
 
 

@@ -9,7 +9,7 @@ import tyro
 
 from mechsearch.cli.command import Command, bars, say, wrote
 from mechsearch.evaluation.metrics import METRICS
-from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.train.config import PRESETS, TrainConfig, load_config, preset_config
 from mechsearch.train.trial import TrialInputs, crossings, run_trial
 from mechsearch.types import MechSearchError

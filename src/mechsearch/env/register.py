@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from mechsearch import heaps as heap_sets
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.vector import VectorHeapEnv
+from mechsearch.env.vector.vector_env import VectorHeapEnv
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.heaps.heap import check_condition
 from mechsearch.objects.catalog import load_object_set

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.heaps.choice import evenly_spread
-from mechsearch.runs import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.types import Array, Floats, MechSearchError
 
 FORMAT = 1

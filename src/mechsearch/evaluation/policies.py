@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.entry_point import is_entry_point, load_entry_point
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
 from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
-from mechsearch.runs import read_record
+from mechsearch.files import read_record
+from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.teachers import make_teachers
 from mechsearch.types import MechSearchError, Observation, Policy
 
-TRAINED_LOADER = "mechsearch.agent.trained:load_policy"
+TRAINED_LOADER = "mechsearch.train.trained:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
-
-RUN_CONFIG = "config.json"
 
 LOOK_AHEAD = "look-ahead"
 """Plans in the simulator, and takes some seconds a heap; a ceiling rather than a baseline."""
@@ -86,9 +86,8 @@ def make_policy(spec: str) -> Policy:
         return _trained(shipped_file(spec))
     if _is_file_of_run(spec):
         return _trained(Path(spec))
-    module, colon, name = spec.partition(":")
-    if colon and all(part.isidentifier() for part in (*module.split("."), name)):
-        return _checked(_found(spec)(), spec)
+    if is_entry_point(spec):
+        return _checked(load_entry_point(spec, "policy")(), spec)
     known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED))
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {known}, a run "
@@ -110,8 +109,8 @@ def run_config(spec: str) -> Mapping[str, Any]:
         return {}
     path = Path(spec)
     for folder in (path, path.parent, path.parent.parent):
-        if (folder / RUN_CONFIG).is_file():
-            return read_record(folder / RUN_CONFIG, "training configuration")
+        if (folder / CONFIG_FILE).is_file():
+            return read_record(folder / CONFIG_FILE, "training configuration")
     return {}
 
 
@@ -126,21 +125,7 @@ def _trained(path: Path) -> Policy:
         raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
     # Other numbers of threads give other bits, and scores must not depend on the workers.
     importlib.import_module("torch").set_num_threads(1)
-    return _checked(_found(TRAINED_LOADER)(path), str(path))
-
-
-def _found(spec: str) -> Any:
-    """Return the function or class that `package.module:name` names."""
-    module_name, _, name = spec.partition(":")
-    try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        raise MechSearchError(f"policy {spec!r} cannot be imported: {error}") from None
-    if not callable(getattr(module, name, None)):
-        public = [key for key, value in vars(module).items() if callable(value)]
-        names = ", ".join(key for key in sorted(public) if not key.startswith("_")) or "none"
-        raise MechSearchError(f"{module_name} has no function or class {name!r}; it has {names}")
-    return getattr(module, name)
+    return _checked(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
 
 
 def _checked(policy: object, spec: str) -> Policy:

@@ -15,14 +15,19 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
-from mechsearch.fingerprint import fingerprint
+from mechsearch.files.fingerprint import fingerprint
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.parallel import Mapper, Progress, map_in_order, silent
+from mechsearch.processes import (
+    Failure,
+    Mapper,
+    Progress,
+    map_in_order,
+    silent,
+)
 from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError, Observation, Policy, select
-from mechsearch.workers import Failure
 
 SPLITS = ("held-out", "train", "all")
 

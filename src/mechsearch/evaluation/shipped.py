@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mechsearch.runs import read_json
+from mechsearch.files import read_json
 from mechsearch.types import MechSearchError
 
 SHIPPED = ("single", "dual")

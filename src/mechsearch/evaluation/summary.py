@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, score
-from mechsearch.runs import locked, write_whole
+from mechsearch.files import locked, write_whole
 from mechsearch.types import MechSearchError
 
 

@@ -7,15 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mechsearch.agent.records import record_from_json
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.rollout import EPISODE_LIMIT, run_episode
+from mechsearch.files import record_from_json
 from mechsearch.heaps.dataset import check_objects, load
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.parallel import Mapper, Progress, map_in_order, silent
+from mechsearch.processes import (
+    Failure,
+    Mapper,
+    Progress,
+    map_in_order,
+    silent,
+)
 from mechsearch.types import Array, MechSearchError, Observation
-from mechsearch.workers import Failure
 
 _COMPARED = ("actions", "ee_positions", "poses", "occlusions", "clutter_moved", "target_moved")
 

@@ -17,10 +17,13 @@ from mechsearch.experiments.schedule import Chain, chains_of, chosen, next_wave
 from mechsearch.experiments.status import SweepStatus, inspected, status
 from mechsearch.experiments.sweep import run_all
 from mechsearch.experiments.trials import Grasp, Scoring, finished_runs
-from mechsearch.parallel import Mapper, map_in_order
-from mechsearch.runs import NotWrittenError, locked
+from mechsearch.files import NotWrittenError, locked
+from mechsearch.processes import (
+    Failure,
+    Mapper,
+    map_in_order,
+)
 from mechsearch.types import MechSearchError
-from mechsearch.workers import Failure
 
 JOB_LIMIT = 12 * 3600.0
 """Time after which a run and its evaluation hang [s]; they take minutes."""

@@ -5,10 +5,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
-from mechsearch.runs import locked, read_lines, write_whole
-from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.files import locked, read_lines, write_whole
+from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE
 from mechsearch.train.config import load_config
-from mechsearch.train.log import METRICS_FILE
 
 COLUMNS = (
     "condition", "variant", "seed", "step", "metric", "mean", "ci_low", "ci_high", "heaps"

@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-FINISHED_FILE = "finished.json"
-"""Written last into the directory of a run that is over."""
-
 
 @dataclass(frozen=True)
 class SweepFolder:

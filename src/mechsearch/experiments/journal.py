@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mechsearch.runs import CHECK_MARK, append_line, line_of, record_of, write_text
+from mechsearch.files import CHECK_MARK, append_line, line_of, record_of, write_text
 
 SWEEP, BEGAN, ENDED, RAISED, FAILED = "sweep", "began", "ended", "raised", "failed"
 

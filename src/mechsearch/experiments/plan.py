@@ -7,13 +7,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mechsearch.agent.records import record_from_json
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
+from mechsearch.files import (
+    read_record,
+    record_from_json,
+    write_record,
+)
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
-from mechsearch.runs import read_record, write_record
 from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig, preset_config
 from mechsearch.types import MechSearchError
 

@@ -9,7 +9,7 @@ from mechsearch.experiments.job import Job
 from mechsearch.experiments.journal import Journal, Past
 from mechsearch.experiments.plan import read_plan
 from mechsearch.experiments.schedule import chains_of
-from mechsearch.runs import locked
+from mechsearch.files import locked
 from mechsearch.types import MechSearchError
 
 DONE, RUNNING, WAITING, FAILED = "done", "running", "waiting", "failed"

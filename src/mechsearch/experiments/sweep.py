@@ -3,8 +3,13 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from mechsearch.parallel import Mapper, Progress, map_in_order, silent
-from mechsearch.workers import Failure
+from mechsearch.processes import (
+    Failure,
+    Mapper,
+    Progress,
+    map_in_order,
+    silent,
+)
 
 Config = TypeVar("Config")
 Summary = TypeVar("Summary")

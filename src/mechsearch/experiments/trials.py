@@ -8,21 +8,25 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mechsearch.agent.policy import ACTOR_FILE
-from mechsearch.agent.trained import load_policy
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.policies import LOOK_AHEAD
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
 from mechsearch.experiments.curves import write_curves
-from mechsearch.experiments.folder import FINISHED_FILE, SweepFolder
+from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.runs import read_record, write_record
-from mechsearch.train.checkpoint import CONFIG_FILE
+from mechsearch.files import read_record, write_record
+from mechsearch.files.layout import (
+    CONFIG_FILE,
+    FINISHED_FILE,
+    INPUTS_FILE,
+    METRICS_FILE,
+    POLICY_FILE,
+)
 from mechsearch.train.config import TrainConfig, load_config
-from mechsearch.train.log import METRICS_FILE
-from mechsearch.train.trial import INPUTS_FILE, TrialInputs, run_trial
+from mechsearch.train.trained import load_policy
+from mechsearch.train.trial import TrialInputs, run_trial
 from mechsearch.types import MechSearchError
 
 Grasp = Callable[[Evaluation], Evaluation]
@@ -93,7 +97,7 @@ class Training(Job):
         finished = self.finished
         if not finished:
             return False
-        actor = self.directory / ACTOR_FILE
+        actor = self.directory / POLICY_FILE
         log = self.directory / METRICS_FILE
         # Earlier versions kept no digest of the log.
         kept = {actor: finished.get("actor"), log: finished.get("metrics", _digest(log))}
@@ -141,7 +145,7 @@ class Training(Job):
         resume = (self.directory / CONFIG_FILE).exists()
         run_trial(self.config, inputs, self.directory, resume)
         done = {
-            "actor": _digest(self.directory / ACTOR_FILE),
+            "actor": _digest(self.directory / POLICY_FILE),
             "metrics": _digest(self.directory / METRICS_FILE),
             "training_actions": load_policy(self.directory).training_actions,
         }

@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from mechsearch.camera import Camera
+from mechsearch.files import ARRAY_DAMAGE, read_json
 from mechsearch.grasp.view import GraspView, view_of_image
-from mechsearch.runs import ARRAY_DAMAGE, read_json
 from mechsearch.types import Array, MechSearchError
 
 _LEVEL = tuple(np.eye(4).ravel().tolist())

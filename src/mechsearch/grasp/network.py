@@ -11,9 +11,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from mechsearch.agent.weights import Archive, load_archive, save_archive
+from mechsearch.files import read_arrays
+from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.grasp.grid import ANGLES
-from mechsearch.runs import read_arrays
 from mechsearch.types import Array, MechSearchError
 
 KIND = "mechsearch grasp network"

@@ -7,7 +7,7 @@ import numpy as np
 
 from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel
-from mechsearch.parallel import map_in_order
+from mechsearch.processes import map_in_order
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftConfig, LiftWorld, Outcome
 from mechsearch.sim.perturb import Perturbation, perturbed

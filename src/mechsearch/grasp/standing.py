@@ -14,7 +14,7 @@ from mechsearch.grasp.quality import Graspability, ceiling, graspability
 from mechsearch.grasp.retrieval import LiftTask, lift_grasps, on_table
 from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel
-from mechsearch.parallel import map_in_order
+from mechsearch.processes import map_in_order
 from mechsearch.sim.lift import Outcome
 from mechsearch.sim.settle import AWAKE, settle
 from mechsearch.sim.world import World

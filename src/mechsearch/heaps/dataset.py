@@ -13,18 +13,26 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mechsearch.camera import preset
+from mechsearch.files import write_whole
+from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectSet
-from mechsearch.parallel import Progress, map_in_order, silent
+from mechsearch.processes import (
+    Failure,
+    Progress,
+    map_in_order,
+    silent,
+)
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
-from mechsearch.runs import write_whole
 from mechsearch.sim.settle import REST_LIMIT, drift
 from mechsearch.types import MechSearchError
-from mechsearch.workers import Failure
 
 FORMAT = 1
+
+SPLITS = ("held-out", "train", "all")
+"""Halves of a heap set, and both of them."""
 
 CHECK_LIMIT = 300.0
 """Time after which the check of a heap hangs [s]."""
@@ -71,6 +79,37 @@ class HeapSet:
     def camera(self) -> str:
         """Name of the view that occlusion is measured from."""
         return str(self.manifest["config"]["camera"])
+
+    @property
+    def objects(self) -> str:
+        """Object set that the heaps were made with, as given to `load_object_set`."""
+        return str(self.manifest["config"]["objects"])
+
+    @property
+    def condition(self) -> str:
+        """Such as "single"."""
+        return str(self.manifest["config"]["condition"])
+
+    def choose(self, split: str = "held-out", limit: int = 0) -> tuple[int, ...]:
+        """Return the indices of a split's heaps.
+
+        Args:
+            split: One of `SPLITS`.
+            limit: How many, evenly spread over the split and so over the object counts; 0 takes
+                all.
+
+        Raises:
+            MechSearchError: If there is no such split, or it has fewer heaps.
+        """
+        if split not in SPLITS:
+            raise MechSearchError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
+        wanted = {"held-out": (True,), "train": (False,), "all": (True, False)}[split]
+        found = [i for i, heap in enumerate(self.heaps) if heap.held_out in wanted]
+        if not found or not 0 <= limit <= len(found):
+            raise MechSearchError(
+                f"{limit or 'all'} heaps asked for; the heap set has {len(found)} {split} heaps"
+            )
+        return tuple(found[i] for i in evenly_spread(len(found), limit or len(found)))
 
 
 def heap_to_json(heap: Heap) -> dict[str, Any]:
@@ -142,6 +181,22 @@ def _hash(heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> str:
         digest.update(heap.poses.tobytes())
         digest.update(json.dumps({**row, "poses": None}, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def open_heaps(path: Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
+    """Return a heap set and its objects, once it is certain that they belong together.
+
+    Args:
+        path: File of the heap set.
+        objects: Object set; empty takes the one that the heaps were made with.
+
+    Raises:
+        MechSearchError: If one of the two is missing or damaged, or they do not fit.
+    """
+    heap_set = load(path)
+    found = object_set(objects or heap_set.objects)
+    check_objects(heap_set, found)
+    return heap_set, found
 
 
 @cache

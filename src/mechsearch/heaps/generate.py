@@ -13,16 +13,7 @@ from typing import Any
 import numpy as np
 
 from mechsearch.camera import preset
-from mechsearch.geometry import random_quaternion, rotation_from_quaternion
-from mechsearch.heaps.dataset import FORMAT, HeapSet, object_set, save
-from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
-from mechsearch.heaps.quota import Drop, Quota, drops_until_full
-from mechsearch.objects.catalog import set_hashes
-from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.parallel import Mapper, Progress, map_in_order, silent
-from mechsearch.render.body import body_of
-from mechsearch.render.visibility import occlusion
-from mechsearch.runs import (
+from mechsearch.files import (
     alone,
     append_line,
     line_of,
@@ -31,12 +22,26 @@ from mechsearch.runs import (
     write_record,
     write_text,
 )
+from mechsearch.geometry import random_quaternion, rotation_from_quaternion
+from mechsearch.heaps.dataset import FORMAT, HeapSet, object_set, save
+from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
+from mechsearch.heaps.quota import Drop, Quota, drops_until_full
+from mechsearch.objects.catalog import set_hashes
+from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.processes import (
+    Failure,
+    Mapper,
+    Progress,
+    map_in_order,
+    silent,
+)
+from mechsearch.render.body import body_of
+from mechsearch.render.visibility import occlusion
 from mechsearch.sim.scene import PhysicsConfig, Wall
 from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
 from mechsearch.sim.world import ENGINE_VERSION, World
 from mechsearch.types import Floats, MechSearchError
-from mechsearch.workers import Failure
 
 DROPS = ("wall", "open")
 

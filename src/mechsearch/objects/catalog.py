@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from mechsearch.objects.cache import cache_folder
 from mechsearch.objects.folder import load_folder
-from mechsearch.objects.household import household
-from mechsearch.objects.limits import FLAGGED_ERROR
+from mechsearch.objects.household.object_set import household
+from mechsearch.objects.meshes.cache import cache_folder
+from mechsearch.objects.meshes.limits import FLAGGED_ERROR
 from mechsearch.objects.model import ObjectSet
 from mechsearch.types import MechSearchError
 

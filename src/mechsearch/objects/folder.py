@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from mechsearch.objects.masses import Entry, read_masses, ycb_masses
-from mechsearch.objects.mesh_file import SUFFIXES
+from mechsearch.objects.meshes.mesh_file import SUFFIXES
+from mechsearch.objects.meshes.parallel import prepare_all
+from mechsearch.objects.meshes.prepare import Source
 from mechsearch.objects.model import ObjectSet
-from mechsearch.objects.parallel import prepare_all
-from mechsearch.objects.prepare import Source
 from mechsearch.types import MechSearchError
 
 SCAN = Path("google_16k", "textured.obj")

@@ -9,13 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mechsearch.evaluation.metrics import Estimate
+from mechsearch.files import read_lines, read_record
+from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE
 from mechsearch.report.figures import COLOURS, GREY, grid, style, to_svg
 from mechsearch.report.tables import display
-from mechsearch.runs import read_lines, read_record
 from mechsearch.types import Floats, MechSearchError
 
-METRICS_FILE = "metrics.jsonl"
-CONFIG_FILE = "config.json"
 EVALUATIONS = {"held_out": "held-out heaps", "validation": "validation heaps"}
 SHOWN = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
 _WINDOW = 15

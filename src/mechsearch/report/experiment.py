@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from mechsearch.evaluation.episodes import Evaluation, load
 from mechsearch.evaluation.metrics import measure
-from mechsearch.report.curves import CONFIG_FILE, METRICS_FILE, Run, read_run
+from mechsearch.files import read_record
+from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE, PLAN_FILE
+from mechsearch.report.curves import Run, read_run
 from mechsearch.report.failure_modes import Behaviour, behaviour
-from mechsearch.runs import read_record
 from mechsearch.types import Floats, MechSearchError
 
-PLAN_FILE = "sweep.json"
 VARIANTS = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
 PASSIVE = ("idle", "random")
 TEACHER_PREFIX = "teacher-"

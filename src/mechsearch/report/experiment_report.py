@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mechsearch.fingerprint import mixed
+from mechsearch.files.fingerprint import mixed
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report import claims, failure_modes, learning, tradeoff
 from mechsearch.report.curves import EVALUATIONS

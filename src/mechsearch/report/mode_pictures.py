@@ -7,10 +7,10 @@ from PIL import Image
 
 from mechsearch.evaluation.episodes import load
 from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip
 from mechsearch.report.document import Block, Picture
 from mechsearch.report.experiment import Condition, Trial
 from mechsearch.report.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
-from mechsearch.report.filmstrip import Film, FilmConfig, filmstrip
 
 PICTURED = (SUCCESS, BACK_AND_FORTH, HOVERING)
 _FRAMES, _SIZE = 4, 320

@@ -11,14 +11,14 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.fingerprint import mixed
+from mechsearch.files import write_whole
+from mechsearch.files.fingerprint import mixed
 from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.filmstrip import Film, FilmConfig, start_and_end
 from mechsearch.report import tables, verdicts
 from mechsearch.report.document import Picture, picture_html, section_html
-from mechsearch.report.filmstrip import Film, FilmConfig, start_and_end
 from mechsearch.report.intervals import draw_intervals
 from mechsearch.report.style import PAGE
-from mechsearch.runs import write_whole
 from mechsearch.types import MechSearchError
 
 PICTURED = ("worst", "median", "best")

@@ -12,8 +12,8 @@ from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 from PIL import Image
 
+from mechsearch.files import write_whole
 from mechsearch.report.document import Block, Document, Grid, Paragraph, Picture
-from mechsearch.runs import write_whole
 
 # A file's date is not part of what it says, and would change its bytes.
 _DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)

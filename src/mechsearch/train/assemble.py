@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mechsearch.actor_critic.collector import Evaluator, Parts
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.evaluation.metrics import mean_interval, score
@@ -13,7 +14,6 @@ from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teachers
-from mechsearch.train.collector import Evaluator, Parts
 from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig
 from mechsearch.train.graspability import GraspabilityChange
 from mechsearch.types import MechSearchError, Policy

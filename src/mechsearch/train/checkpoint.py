@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from mechsearch.agent.policy import ACTOR_FILE
-from mechsearch.agent.trained import Trained, save_policy
-from mechsearch.agent.weights import Archive, load_archive, save_archive
+from mechsearch.files.layout import CONFIG_FILE, POLICY_FILE
+from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.train.config import TrainConfig, load_config, save_config
+from mechsearch.train.trained import Trained, save_policy
 from mechsearch.types import MechSearchError
 
 KIND = "mechsearch checkpoint"
 FORMAT = 2
 """With the running episode; the first format had none."""
 
-CONFIG_FILE = "config.json"
 _KEPT = 2
 
 
@@ -76,7 +75,7 @@ class RunDirectory:
 
     def save_actor(self, step: int, policy: Trained) -> None:
         """Write the policy as it is now, both by step and as the run's last."""
-        for path in (f"actors/step-{step:08d}.safetensors", ACTOR_FILE):
+        for path in (f"actors/step-{step:08d}.safetensors", POLICY_FILE):
             save_policy(policy, self.path / path)
 
     def _checkpoints(self) -> list[Path]:

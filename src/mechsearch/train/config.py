@@ -4,14 +4,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from mechsearch.agent.ddpg import LearnerConfig
-from mechsearch.agent.exploration import NoiseConfig
-from mechsearch.agent.guidance import GuidanceConfig
-from mechsearch.agent.networks import NetworkConfig
-from mechsearch.agent.push_policy import PushPolicyConfig
-from mechsearch.agent.push_value import PushValueConfig
-from mechsearch.agent.records import record_from_json
-from mechsearch.runs import read_record, write_record
+from mechsearch.actor_critic.exploration import NoiseConfig
+from mechsearch.actor_critic.guidance import GuidanceConfig
+from mechsearch.actor_critic.learner import LearnerConfig
+from mechsearch.actor_critic.networks import NetworkConfig
+from mechsearch.files import (
+    read_record,
+    record_from_json,
+    write_record,
+)
+from mechsearch.push_values.policy import PushPolicyConfig
+from mechsearch.push_values.value import PushValueConfig
 from mechsearch.teachers import TEACHERS
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 

@@ -6,12 +6,10 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from mechsearch.agent.weights import Archive
-from mechsearch.runs import append_line, line_of, naming, read_lines, write_text, write_whole
+from mechsearch.files import append_line, line_of, naming, read_lines, write_text, write_whole
+from mechsearch.files.layout import METRICS_FILE, SPEED_FILE
+from mechsearch.files.tensors import Archive
 from mechsearch.types import MechSearchError
-
-METRICS_FILE = "metrics.jsonl"
-SPEED_FILE = "speed.jsonl"
 
 
 class RunLog:

@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from mechsearch.agent.policy import ActorPolicy
-from mechsearch.parallel import Progress, silent
-from mechsearch.train.background import background
+from mechsearch.actor_critic.background import background
+from mechsearch.actor_critic.collector import Parts
+from mechsearch.actor_critic.policy import ActorPolicy
+from mechsearch.actor_critic.session import Session
+from mechsearch.processes import Progress, silent
 from mechsearch.train.checkpoint import RunDirectory
-from mechsearch.train.collector import Parts
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.evaluate import evaluate, label
 from mechsearch.train.log import RunLog
-from mechsearch.train.session import Session
 from mechsearch.train.speed import Speed
 
 

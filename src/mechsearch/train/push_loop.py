@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
+from mechsearch.actor_critic.collector import Parts
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.parallel import Progress, silent
+from mechsearch.processes import Progress, silent
+from mechsearch.push_values.session import PushSession, load_episode, save_episode
 from mechsearch.train.checkpoint import RunDirectory
-from mechsearch.train.collector import Parts
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.evaluate import evaluate, label
 from mechsearch.train.log import RunLog
-from mechsearch.train.push_session import PushSession, load_episode, save_episode
 from mechsearch.types import MechSearchError
 
 EPISODES = "pushes"

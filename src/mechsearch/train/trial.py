@@ -7,19 +7,16 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from mechsearch.fingerprint import crossed, fingerprint
+from mechsearch.files import alone, read_record, write_record
+from mechsearch.files.fingerprint import crossed, fingerprint
+from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
-from mechsearch.parallel import Progress, silent
-from mechsearch.runs import alone, read_record, write_record
+from mechsearch.processes import Progress, silent
 from mechsearch.train.assemble import assemble
-from mechsearch.train.checkpoint import CONFIG_FILE
 from mechsearch.train.config import TrainConfig
 from mechsearch.train.loop import train
 from mechsearch.train.push_loop import learn_pushes
 from mechsearch.types import MechSearchError
-
-INPUTS_FILE = "inputs.json"
-"""What a run was made from, beside its configuration, so that it can go on by itself."""
 
 _HISTORY = "fingerprints"
 _PURPOSE = "record of a run's inputs"

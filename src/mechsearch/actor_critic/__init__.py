@@ -1,0 +1,1 @@
+"""The paper's actor-critic: networks, replay, learner, guidance, collection (PyTorch)."""

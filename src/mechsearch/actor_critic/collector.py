@@ -1,0 +1,206 @@
+"""Acts in the environment: actor and teachers propose, the critic chooses, the world answers."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.actor_critic.behaviour import Behaviour
+from mechsearch.actor_critic.exploration import Noise
+from mechsearch.actor_critic.guidance import Guidance
+from mechsearch.train.config import TrainConfig
+from mechsearch.types import Array, Observation, Policy, select
+
+Evaluator = Callable[[Policy], Mapping[str, float]]
+
+
+class Env(Protocol):
+    """What a run needs of a task: Gymnasium's episodes, which can be kept and gone on with."""
+
+    @property
+    def observation_space(self) -> gymnasium.Space[Any]:
+        """A dictionary of boxes."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Begin an episode on the heap that `options` names."""
+
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Execute one action."""
+
+    def snapshot(self) -> dict[str, Array]:
+        """Return all that the rest of the episode depends on."""
+
+    def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
+        """Go on from a snapshot, bit by bit; return its observation."""
+
+
+class Guide(Policy, Protocol):
+    """A policy that can be kept in the middle of an episode."""
+
+    def state(self) -> dict[str, Any]:
+        """Return all that its next actions depend on besides what it sees, as JSON."""
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take back what `state` returned."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a run is given, ready-made.
+
+    Attributes:
+        env: The task, with privileged observations.
+        heaps: Indices of the heaps to learn on.
+        teachers: Who guides, by name.
+        evaluators: Score a policy on heaps of their own, by name of these heaps.
+    """
+
+    env: Env
+    heaps: Sequence[int]
+    teachers: Mapping[str, Guide]
+    evaluators: Mapping[str, Evaluator]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was decided in one observation.
+
+    Attributes:
+        action: To execute (3,), in [-1, 1].
+        actor_action: What the actor would have done, without noise (3,).
+        choice: Index of who acts; 0 is the actor.
+        q: Expected Q of the action.
+    """
+
+    action: NDArray[np.float32]
+    actor_action: NDArray[np.float32]
+    choice: int
+    q: float
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One executed action.
+
+    Attributes:
+        heap: Index of the heap.
+        obs: Where it began.
+        decision: What was done.
+        after: Where it led.
+        reward: What it earned.
+        terminated: Whether the task ended with it.
+        truncated: Whether the episode was cut off after it.
+        info: What else the environment told.
+    """
+
+    heap: int
+    obs: Observation
+    decision: Decision
+    after: Observation
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode ended with it."""
+        return self.terminated or self.truncated
+
+
+class Collector:
+    """Executes a run's actions. Between two calls nothing goes on."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        parts: Parts,
+        behaviour: Behaviour,
+        rngs: Mapping[str, np.random.Generator],
+    ) -> None:
+        """Take what acts.
+
+        Args:
+            config: The run.
+            parts: Environment and teachers.
+            behaviour: Copies of actor and critic.
+            rngs: Generators of "episodes" and of "exploration".
+        """
+        self._parts = parts
+        self._behaviour = behaviour
+        self._rngs = rngs
+        self._guidance = Guidance(config.guidance)
+        self._noise = Noise(config.noise)
+        self._heap = -1
+        self._obs: Observation | None = None
+
+    def collect(self, count: int) -> list[Transition]:
+        """Execute `count` actions, or fewer up to the end of the episode."""
+        done: list[Transition] = []
+        while len(done) < count and not (done and done[-1].over):
+            obs = self._begin() if self._obs is None else self._obs
+            decision = self._decide(obs)
+            after, reward, terminated, truncated, info = self._parts.env.step(decision.action)
+            done.append(
+                Transition(self._heap, obs, decision, after, reward, terminated, truncated, info)
+            )
+            self._obs = None if done[-1].over else after
+        return done
+
+    def archive(self) -> tuple[dict[str, Array], dict[str, Any] | None]:
+        """Return the episode that goes on, as arrays and JSON, for `restore`; None between two."""
+        if self._obs is None:
+            return {}, None
+        arrays = {f"env/{name}": value for name, value in self._parts.env.snapshot().items()}
+        arrays |= {f"obs/{key}": value for key, value in self._obs.items()}
+        teachers = {name: teacher.state() for name, teacher in self._parts.teachers.items()}
+        return arrays, {
+            "heap": self._heap,
+            "guidance": self._guidance.state(),
+            "noise": self._noise.state(),
+            "teachers": teachers,
+        }
+
+    def restore(self, arrays: Mapping[str, Array], facts: Mapping[str, Any] | None) -> None:
+        """Take back what `archive` returned."""
+        if facts is None:
+            return
+        self._heap = facts["heap"]
+        self._guidance.restore(facts["guidance"])
+        self._noise.restore(facts["noise"])
+        for name, teacher in self._parts.teachers.items():
+            teacher.restore(facts["teachers"][name])
+        kept: dict[str, dict[str, Array]] = {"env": {}, "obs": {}}
+        for path, value in arrays.items():
+            owner, _, name = path.partition("/")
+            kept[owner][name] = value
+        self._parts.env.restore(kept["env"])
+        self._obs = kept["obs"]
+
+    def _begin(self) -> Observation:
+        """Begin an episode on a random heap; return its first observation."""
+        rng, teachers = self._rngs["episodes"], self._parts.teachers.values()
+        self._heap = int(rng.choice(self._parts.heaps))
+        env_seed, *seeds = (int(s) for s in rng.integers(2**31, size=1 + len(teachers)))
+        for teacher, seed in zip(teachers, seeds, strict=True):
+            teacher.reset(np.random.default_rng(seed))
+        self._guidance.reset()
+        self._noise.reset()
+        obs, _ = self._parts.env.reset(seed=env_seed, options={"heap": self._heap})
+        return obs
+
+    def _decide(self, obs: Observation) -> Decision:
+        """Let the actor and every teacher propose, and choose one (paper, III-C)."""
+        rng = self._rngs["exploration"]
+        own = self._behaviour.act(obs)
+        proposals = [self._noise.added(own, rng)]
+        proposals += [t.act(select(obs, t.keys)) for t in self._parts.teachers.values()]
+        actions = np.stack(proposals).astype(np.float32)
+        samples = self._behaviour.q_samples(obs, actions)
+        choice = self._guidance.choose(samples, rng)
+        return Decision(actions[choice], own, choice, float(samples[:, choice].mean()))

@@ -1,0 +1,162 @@
+"""One environment of many, as the process that asks sees it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+
+from mechsearch.env.reward import NO_REWARD
+from mechsearch.env.vector.hosting import Act, Acted, Begin, Begun
+from mechsearch.env.vector.quarantine import Quarantine
+from mechsearch.processes import Failure
+from mechsearch.types import Array, MechSearchError
+
+MOST_FAILED_STARTS = 10
+"""Failures in a row to begin an episode, on several heaps, after which no more are tried."""
+
+
+@dataclass
+class Outcome:
+    """What an environment has to tell when its turn comes."""
+
+    reward: float = 0.0
+    terminated: bool = False
+    truncated: bool = False
+    info: dict[str, Any] = field(default_factory=dict)
+
+
+class Lane:
+    """Makes an environment's requests, and takes the replies.
+
+    All its randomness is here, so that its episodes depend neither on its worker nor on others.
+
+    Attributes:
+        kept: Its last trusted observation.
+        rng: Its generator; None before the first reset.
+        over: Whether it must be reset before the next action.
+        outcome: What the last action or reset led to.
+    """
+
+    def __init__(
+        self,
+        env: int,
+        shared: Mapping[str, Array],
+        kept: Mapping[str, Array],
+        quarantine: Quarantine,
+        same_step: bool,
+    ) -> None:
+        """Begin without an episode.
+
+        Args:
+            env: Which environment.
+            shared: Where its worker writes its observations.
+            kept: Where they are kept.
+            quarantine: Of the heaps, shared by all environments.
+            same_step: Whether an episode that is over is followed by the next in the same step.
+        """
+        self.kept = kept
+        self.rng: np.random.Generator | None = None
+        self.over = True
+        self.outcome = Outcome()
+        self._env, self._shared, self._quarantine = env, shared, quarantine
+        self._same_step = same_step
+        self._heap, self._occlusion = 0, 1.0
+        self._beginning: Begin | None = None
+        self._failed_starts = 0
+
+    def reset(self, seed: int | None, options: Mapping[str, Any]) -> Begin:
+        """Return the request that begins an episode.
+
+        Raises:
+            MechSearchError: If the options choose a heap that does not exist or is quarantined.
+        """
+        if seed is not None or self.rng is None:
+            self.rng, _ = seeding.np_random(seed)
+        self.outcome = Outcome()
+        return self._begin(options)
+
+    def act(self, action: Array) -> Act:
+        """Return the request that executes an action (3,)."""
+        return Act(self._env, action)
+
+    def take(self, value: Begun | Acted | Failure) -> Begin | None:
+        """Take a reply; return what must be asked before the turn's outcome is complete.
+
+        Raises:
+            MechSearchError: If no episode can begin.
+        """
+        if self._beginning is not None:
+            return self._take_begun(self._beginning, value)
+        if isinstance(value, Failure):
+            value = self._failed(value)
+        else:
+            self._keep()
+        assert isinstance(value, Acted)
+        self.outcome = Outcome(*value)
+        self.over = value.terminated or value.truncated
+        self._occlusion = value.info["occlusion"]
+        return self._begin_next() if self.over and self._same_step else None
+
+    def _begin(self, options: Mapping[str, Any]) -> Begin:
+        assert self.rng is not None
+        heap, self.over, self._failed_starts = options.get("heap"), True, 0
+        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        self._beginning = Begin(self._env, heap, self.rng, options)
+        return self._beginning
+
+    def _begin_next(self) -> Begin:
+        """Begin the next episode in the same step; what the last one ended with stays in `info`."""
+        info = self.outcome.info
+        final: dict[str, Any] = {key: row.copy() for key, row in self.kept.items()}
+        failed = {k: info[k] for k in ("failure", "quarantined") if info.get(k) is not None}
+        self.outcome.info = {"final_obs": final, "final_info": info, **failed}
+        return self._begin({})
+
+    def _take_begun(self, begin: Begin, value: Begun | Acted | Failure) -> Begin | None:
+        if isinstance(value, Failure):
+            return self._begin_again(begin, value)
+        assert isinstance(value, Begun)
+        self._keep()
+        self._beginning, self.over = None, False
+        self.rng, self._heap = value.rng, begin.heap
+        self._occlusion = value.info["occlusion"]
+        self.outcome.info |= value.info
+        return None
+
+    def _begin_again(self, begin: Begin, failure: Failure) -> Begin:
+        """Return the same request, or one for another heap if the first is quarantined now."""
+        self._failed_starts += 1
+        name = self._quarantine.strike(begin.heap, failure.reason)
+        if name is None:
+            return begin
+        self._beginning = None
+        self.outcome.info["quarantined"] = name
+        if self._failed_starts >= MOST_FAILED_STARTS:
+            raise MechSearchError(
+                f"no episode begins, tried {self._failed_starts} times; the last time on heap "
+                f"{name}: {failure.reason}"
+            )
+        heap = begin.options.get("heap")
+        assert self.rng is not None
+        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        self._beginning = replace(begin, heap=heap, rng=self.rng)
+        return self._beginning
+
+    def _failed(self, failure: Failure) -> Acted:
+        """Return the end of an episode whose worker failed: truncated, without reward."""
+        info = {
+            "reward_terms": asdict(NO_REWARD),
+            "occlusion": self._occlusion,
+            "end": f"failure: {failure.reason}",
+            "failure": failure.reason,
+            "clutter_moved": 0.0,
+            "target_moved": 0.0,
+        }
+        name = self._quarantine.strike(self._heap, failure.reason)
+        return Acted(0.0, False, True, info | ({"quarantined": name} if name is not None else {}))
+
+    def _keep(self) -> None:
+        for key, row in self.kept.items():
+            np.copyto(row, self._shared[key])

@@ -1,0 +1,30 @@
+"""Every file name of a run directory and of a sweep's folder, once."""
+
+CONFIG_FILE = "config.json"
+"""What a run is: its task, its algorithm and its schedule."""
+
+INPUTS_FILE = "inputs.json"
+"""What a run was made from, beside its configuration, so that it can go on by itself."""
+
+METRICS_FILE = "metrics.jsonl"
+"""What the seed decides of a run, a record a line."""
+
+SPEED_FILE = "speed.jsonl"
+"""What depends on the machine, likewise."""
+
+EVENTS_FOLDER = "tensorboard"
+CHECKPOINTS_FOLDER = "checkpoints"
+POLICIES_FOLDER = "actors"
+
+POLICY_FILE = "actor.safetensors"
+"""The last policy of a run."""
+
+FINISHED_FILE = "finished.json"
+"""Written last into the directory of a run that is over."""
+
+PLAN_FILE = "sweep.json"
+JOURNAL_FILE = "jobs.jsonl"
+SUMMARY_FILE = "summary.csv"
+CURVES_FILE = "curves.csv"
+RUNS_FOLDER = "runs"
+EVALUATIONS_FOLDER = "evaluations"

@@ -1,0 +1,187 @@
+"""JSON that this package reads back: checked records, lines, and frozen dataclasses."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
+from zlib import crc32
+
+from mechsearch.files.whole import naming, write_text
+from mechsearch.types import MechSearchError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    Record = TypeVar("Record", bound=DataclassInstance)
+else:
+    Record = TypeVar("Record")
+
+RECORD = 1
+"""Format of the records that `write_record` writes."""
+
+CHECK_MARK = '"check"'
+"""What tells a line of JSON with a checksum from one that an earlier version wrote."""
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON, whole or not at all."""
+    write_text(path, json.dumps(value, indent=2, sort_keys=True) + "\n")
+
+
+def read_json(path: Path, purpose: str) -> Any:
+    """Read JSON.
+
+    Raises:
+        MechSearchError: If the file is missing or not JSON; `purpose` names what it should hold.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise MechSearchError(f"no {purpose} at {path}") from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise MechSearchError(f"the {purpose} at {path} is damaged: {error}") from None
+
+
+def write_record(path: Path, purpose: str, record: Mapping[str, Any]) -> None:
+    """Write what only this package reads back: JSON with a checksum, whole or not at all.
+
+    Args:
+        path: The file.
+        purpose: What it is, in the words that `read_record` is given.
+        record: What to keep.
+    """
+    numbered = {**record, "kind": purpose, "record": RECORD}
+    write_json(path, {**numbered, "check": _check(numbered)})
+
+
+def read_record(path: Path, purpose: str, needed: Sequence[str] = ()) -> dict[str, Any]:
+    """Read what `write_record` wrote, or what earlier versions did without a checksum.
+
+    Args:
+        path: The file.
+        purpose: What it should hold, for errors.
+        needed: Names without which it is something else.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged, changed, foreign, or of a later version.
+    """
+    content = read_json(path, purpose)
+    if not isinstance(content, dict):
+        raise MechSearchError(f"{path} is not the {purpose}: it holds a {type(content).__name__}")
+    found: dict[str, Any] = content
+    # Each of the two tells that the other must be there, so that neither can get lost.
+    if "record" in found or "check" in found:
+        found = _opened(found, path, purpose)
+    missing = [name for name in needed if name not in found]
+    if missing:
+        raise MechSearchError(f"{path} is not the {purpose}: it lacks {', '.join(missing)}")
+    return found
+
+
+def _opened(found: dict[str, Any], path: Path, purpose: str) -> dict[str, Any]:
+    """Return a record without what seals it."""
+    check = found.pop("check", None)
+    if check != _check(found):
+        raise MechSearchError(
+            f"the {purpose} at {path} is damaged, or was changed by hand: its checksum differs"
+        )
+    number, kind = found.pop("record"), found.pop("kind", purpose)
+    if kind != purpose:
+        raise MechSearchError(f"{path} is not the {purpose}, but a {kind}")
+    if number != RECORD:
+        raise MechSearchError(
+            f"the {purpose} at {path} has format {number}; this version reads {RECORD}"
+        )
+    return found
+
+
+def _check(record: Mapping[str, Any]) -> str:
+    return f"{crc32(json.dumps(record, sort_keys=True).encode()):08x}"
+
+
+def append_line(path: Path, record: dict[str, Any]) -> None:
+    """Append one record to a file of JSON lines, with a checksum.
+
+    Raises:
+        NotWrittenError: If the disk is full, or the place is not to be written to.
+    """
+    with naming(path), path.open("a", encoding="utf-8") as file:
+        file.write(line_of(record))
+
+
+def line_of(record: Mapping[str, Any]) -> str:
+    """Return a record as a line with its checksum."""
+    return json.dumps({**record, "check": _check(record)}) + "\n"
+
+
+def record_of(line: str) -> dict[str, Any]:
+    """Return the record of a line.
+
+    Raises:
+        ValueError: If the line is no JSON object, or its checksum differs.
+    """
+    record = json.loads(line)
+    if not isinstance(record, dict):
+        raise ValueError(f"{line[:40]!r} is no record")
+    if "check" in record and record.pop("check") != _check(record):
+        raise ValueError("its checksum differs")
+    return record
+
+
+def read_lines(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the records of a file of JSON lines; a last line that a kill has torn is left out.
+
+    Earlier versions wrote no checksums; a file has them in all of its lines or in none.
+
+    Raises:
+        MechSearchError: If another line is damaged.
+    """
+    if not path.exists():
+        return
+    checked: bool | None = None
+    with path.open("rb") as file:
+        for number, raw in enumerate(file, start=1):
+            if not raw.endswith(b"\n"):
+                return
+            try:
+                line = raw.decode("utf-8")
+                record = record_of(line)
+                if checked not in (None, CHECK_MARK in line):
+                    raise ValueError("its checksum is missing, or too many")
+            except ValueError as error:
+                raise MechSearchError(f"line {number} of {path} is damaged: {error}") from None
+            checked = CHECK_MARK in line
+            yield record
+
+
+def record_from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
+    """Return a dataclass, nested ones included, from what `dataclasses.asdict` and JSON made.
+
+    Raises:
+        MechSearchError: If a field is unknown or its value of another kind; fields left out keep
+            their defaults.
+    """
+    if not isinstance(data, Mapping):
+        raise MechSearchError(f"a {kind.__name__} is {data!r}; expected values by field")
+    hints = get_type_hints(kind)
+    known = [field.name for field in fields(kind) if field.init]
+    unknown = [name for name in data if name not in known]
+    if unknown:
+        raise MechSearchError(
+            f"{kind.__name__} has no {', '.join(unknown)}; it has {', '.join(known)}"
+        )
+    return kind(**{name: _value(hints[name], name, value) for name, value in data.items()})
+
+
+def _value(kind: Any, name: str, value: Any) -> Any:
+    if isinstance(kind, type) and is_dataclass(kind):
+        return record_from_json(kind, value)
+    if get_origin(kind) is tuple and isinstance(value, list):
+        inner = get_args(kind)[0]
+        return tuple(_value(inner, name, entry) for entry in value)
+    expected = (int, float) if kind is float else (get_origin(kind) or kind)
+    # JSON's true is no number.
+    if isinstance(value, bool) != (kind is bool) or not isinstance(value, expected):
+        raise MechSearchError(f"{name} is {value!r}; expected {getattr(kind, '__name__', kind)}")
+    return value

@@ -1,0 +1,1 @@
+"""Labelled grasps, the fit of grasp networks to them, and how far their ratings hold."""

@@ -1,0 +1,248 @@
+"""Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from mechsearch.files import alone
+from mechsearch.files.tensors import (
+    Archive,
+    fill,
+    fill_optimizer,
+    load_archive,
+    optimizer_tensors,
+    part,
+    prefixed,
+    save_archive,
+)
+from mechsearch.grasp.grid import ANGLES
+from mechsearch.grasp.learning.grasp_set import Grasps
+from mechsearch.grasp.learning.metrics import Verdict, judge
+from mechsearch.grasp.network import GraspNetwork, ready, save_network
+from mechsearch.heaps.choice import evenly_spread
+from mechsearch.processes import Progress, silent
+from mechsearch.types import Array, MechSearchError
+
+KIND = "mechsearch grasp training"
+CHECKPOINT = "checkpoint.safetensors"
+NETWORK = "network.safetensors"
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How to train.
+
+    Attributes:
+        epochs: Passes over the grasps.
+        batch: Grasps in one update.
+        learning_rate: Of Adam, at first; it falls to zero along half a cosine.
+        weight_decay: Of all weights.
+        turned: Whether each grasp is mirrored and turned at random, its closing direction likewise.
+        validation: Share of the heaps that no update sees; they choose the best epoch.
+        seed: Of weights, order, mirrors and turns.
+    """
+
+    epochs: int = 20
+    batch: int = 64
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-4
+    turned: bool = True
+    validation: float = 0.15
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1 or self.batch < 1 or self.learning_rate <= 0:
+            raise MechSearchError(
+                f"{self.epochs} epochs in batches of {self.batch} at a learning rate of "
+                f"{self.learning_rate}; expected at least 1, 1 and more than 0"
+            )
+        if not 0.0 < self.validation < 1.0:
+            raise MechSearchError(f"a validation share of {self.validation}; expected 0 to 1")
+
+
+def fit(
+    grasps: Grasps, config: FitConfig, folder: Path, progress: Progress = silent
+) -> list[dict[str, float]]:
+    """Train a network, or go on; write the best one as `network.safetensors`.
+
+    Args:
+        grasps: Labelled grasps of at least two heaps.
+        config: How to train; only `epochs` may differ from what a folder was begun with.
+        folder: For checkpoint and network.
+        progress: Told after each epoch.
+
+    Returns:
+        For each epoch its mean loss and, on the validation heaps, average precision and AUC.
+
+    Raises:
+        MechSearchError: If there are too few heaps, the validation heaps' labels are all alike, or
+            the folder holds another training, or another process is at work in it.
+    """
+    with alone(folder / "training", f"the training {folder}"):
+        return _fit_alone(grasps, config, folder, progress)
+
+
+def _fit_alone(
+    grasps: Grasps, config: FitConfig, folder: Path, progress: Progress
+) -> list[dict[str, float]]:
+    learn, check = split_by_heap(grasps, config.validation)
+    network = _fresh(learn, config)
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
+    history = _resume(folder / CHECKPOINT, identity, network, optimizer)
+    for epoch in range(len(history), config.epochs):
+        loss = _train(network, optimizer, learn, config, epoch)
+        verdict = judge(predict(network, check), check.success)
+        history.append(_row(loss, verdict))
+        best = max(row["average_precision"] for row in history)
+        if history[-1]["average_precision"] == best:
+            save_network(folder / NETWORK, network, {"validation": history[-1]})
+        tensors = prefixed("network", network.state_dict())
+        tensors |= prefixed("adam", optimizer_tensors(optimizer))
+        meta = {"identity": identity, "history": history}
+        save_archive(folder / CHECKPOINT, Archive(KIND, tensors, meta))
+        label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
+        progress(label, epoch + 1, config.epochs)
+    return history
+
+
+def split_by_heap(grasps: Grasps, share: float) -> tuple[Grasps, Grasps]:
+    """Return the grasps to learn from and to check on; no heap is in both.
+
+    Raises:
+        MechSearchError: If there are fewer than two heaps.
+    """
+    heaps = np.unique(grasps.heap)
+    if len(heaps) < 2:
+        raise MechSearchError(f"grasps of {len(heaps)} heap; expected at least 2")
+    number = min(max(1, round(share * len(heaps))), len(heaps) - 1)
+    held = heaps[evenly_spread(len(heaps), number)]
+    inside = np.isin(grasps.heap, held)
+    return grasps.where(~inside), grasps.where(inside)
+
+
+@torch.inference_mode()
+def predict(network: GraspNetwork, grasps: Grasps, batch: int = 256) -> NDArray[np.float64]:
+    """Return the quality (n,) of labelled grasps, in each one's own closing direction."""
+    network.eval()
+    found = []
+    for start in range(0, len(grasps), batch):
+        seen = _tensor(grasps.relative[start : start + batch])
+        logits = network(seen)[:, :, :, 0, 0]
+        angle = torch.from_numpy(grasps.bin[start : start + batch].astype(np.int64))
+        own = logits[torch.arange(len(seen)), angle]
+        found.append(torch.sigmoid(own[:, 1] - own[:, 0]).double().numpy())
+    return np.concatenate(found)
+
+
+def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:
+    """Return what grasps look like mirrored or turned, and their angle bins.
+
+    Args:
+        seen: Images (n, 96, 96), the grasp centre at pixel 48.
+        angle: Bins (n,).
+        symmetry: Which of eight (n,): 1 mirrors rows, 2 mirrors columns, 4 swaps both.
+    """
+    out, bins = seen.copy(), np.asarray(angle, np.intp).copy()
+    for bit, axis in ((1, 1), (2, 2)):
+        own = np.flatnonzero(symmetry & bit)
+        # Pixel 48 is the middle of pixels 1 to 95; the odd line out takes its neighbour's place.
+        mirrored = np.flip(np.take(out[own], range(1, 96), axis), axis)
+        out[own] = np.concatenate([np.take(mirrored, [0], axis), mirrored], axis)
+        bins[own] = ANGLES - 1 - bins[own]
+    own = np.flatnonzero(symmetry & 4)
+    out[own] = out[own].transpose(0, 2, 1)
+    bins[own] = (ANGLES // 2 - 1 - bins[own]) % ANGLES
+    return out, bins
+
+
+def _fresh(learn: Grasps, config: FitConfig) -> GraspNetwork:
+    """Return a network with random weights, its input scaled as the grasps are."""
+    sample = learn.relative[:: max(1, len(learn) // 4096)].astype(np.float64)
+    with torch.random.fork_rng():
+        torch.manual_seed(config.seed)
+        return ready(GraspNetwork(float(sample.mean()), float(sample.std())))
+
+
+def _train(
+    network: GraspNetwork,
+    optimizer: torch.optim.Optimizer,
+    learn: Grasps,
+    config: FitConfig,
+    epoch: int,
+) -> float:
+    """Go through all grasps once; return the mean loss."""
+    network.train()
+    share = epoch / config.epochs
+    for group in optimizer.param_groups:
+        group["lr"] = config.learning_rate * (1 + math.cos(math.pi * share)) / 2
+    total = 0.0
+    for seen, angle, success in _batches(learn, config, epoch):
+        logits = network(seen)[:, :, :, 0, 0]
+        loss = nn.functional.cross_entropy(logits[torch.arange(len(seen)), angle], success)
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        optimizer.step()
+        total += float(loss.detach()) * len(seen)
+    return total / len(learn)
+
+
+def _batches(
+    learn: Grasps, config: FitConfig, epoch: int
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    # Of its epoch alone, so that a resumed training is the same training.
+    rng = np.random.default_rng([config.seed, epoch])
+    order = rng.permutation(len(learn))
+    success = learn.success
+    for start in range(0, len(order), config.batch):
+        own = order[start : start + config.batch]
+        symmetry = rng.integers(8, size=len(own)) * config.turned
+        seen, angle = turned(learn.relative[own], learn.bin[own], symmetry)
+        labels = torch.from_numpy(success[own].astype(np.int64))
+        yield _tensor(seen), torch.from_numpy(angle.astype(np.int64)), labels
+
+
+def _tensor(seen: Array) -> Tensor:
+    images = torch.from_numpy(seen.astype(np.float32))[:, None]
+    return images.contiguous(memory_format=torch.channels_last)
+
+
+def _row(loss: float, verdict: Verdict) -> dict[str, float]:
+    return {
+        "loss": loss,
+        "average_precision": verdict.average_precision,
+        "auc": verdict.auc,
+        "brier": verdict.brier,
+        "base_rate": verdict.base_rate,
+    }
+
+
+def _resume(
+    path: Path,
+    identity: dict[str, Any],
+    network: GraspNetwork,
+    optimizer: torch.optim.Optimizer,
+) -> list[dict[str, float]]:
+    """Take up a checkpoint, if there is one; return the history so far."""
+    if not path.exists():
+        return []
+    archive = load_archive(path, KIND)
+    stored = archive.meta["identity"]
+    differing = [name for name, value in identity.items() if stored.get(name) != value]
+    if differing:
+        raise MechSearchError(
+            f"{path.parent} holds a training with another {', '.join(differing)}; name another "
+            "folder"
+        )
+    fill(network, part(archive.tensors, "network"))
+    fill_optimizer(optimizer, part(archive.tensors, "adam"))
+    return list(archive.meta["history"])

@@ -1,0 +1,1 @@
+"""The built-in set: household objects made of primitives."""

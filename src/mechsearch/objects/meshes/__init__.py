@@ -1,0 +1,1 @@
+"""Meshes of any origin: read, checked, decomposed and cached."""

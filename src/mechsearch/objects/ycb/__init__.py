@@ -1,0 +1,1 @@
+"""The YCB objects from their official site."""

@@ -1,0 +1,1 @@
+"""Filmstrips, films and contact sheets, from recorded states."""

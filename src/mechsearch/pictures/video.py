@@ -1,0 +1,91 @@
+"""Films of recorded episodes: GIF with Pillow alone, MP4 with the `video` extra."""
+
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from mechsearch.files import write_whole
+from mechsearch.pictures.filmstrip import Film
+from mechsearch.types import MechSearchError
+
+FORMATS = (".gif", ".mp4")
+
+
+def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
+    """Write an episode as GIF or MP4, whole or not at all; the last frame stays for a second.
+
+    Args:
+        path: Ends in .gif or .mp4.
+        film: The episode.
+        rate: Actions shown in a second.
+
+    Raises:
+        MechSearchError: If the format is unknown, the rate is not positive, or MP4 is asked for
+            without the `video` extra.
+    """
+    if rate <= 0:
+        raise MechSearchError(f"a film of {rate} actions a second; expected more than 0")
+    if path.suffix == ".gif":
+        write_whole(path, lambda partial: _write_gif(partial, film, rate))
+    elif path.suffix == ".mp4":
+        if importlib.util.find_spec("imageio_ffmpeg") is None:
+            raise MechSearchError(
+                f"writing {path} needs the video extra: install mechsearch[video], or choose .gif"
+            )
+        write_whole(path, lambda partial: _write_mp4(partial, film, rate))
+    else:
+        raise MechSearchError(
+            f"unknown film format {path.suffix!r}; choose one of {', '.join(FORMATS)}"
+        )
+
+
+def _frames(film: Film, rate: float) -> Iterator[Image.Image]:
+    last = len(film.record.actions)
+    for step in range(last + 1):
+        yield film.frame(step)
+    for _ in range(max(1, round(rate))):
+        yield film.frame(last)
+
+
+def _write_gif(path: Path, film: Film, rate: float) -> None:
+    last = len(film.record.actions)
+    frames = [film.frame(step) for step in range(last + 1)]
+    # One palette for all frames, from the two that differ most: colours do not flicker.
+    sheet = Image.new("RGB", (frames[0].width * 2, frames[0].height))
+    sheet.paste(frames[0], (0, 0))
+    sheet.paste(frames[-1], (frames[0].width, 0))
+    palette = sheet.quantize(256, dither=Image.Dither.NONE)
+    reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    duration = round(1000 / rate)
+    reduced[0].save(
+        path,
+        save_all=True,
+        append_images=reduced[1:],
+        duration=[duration] * last + [duration + 1000],
+        loop=0,
+        disposal=1,
+    )
+
+
+def _write_mp4(path: Path, film: Film, rate: float) -> None:
+    import imageio_ffmpeg
+
+    frames = (_even(np.asarray(frame)) for frame in _frames(film, rate))
+    first = next(frames)
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (first.shape[1], first.shape[0]), fps=rate, macro_block_size=2, quality=8
+    )
+    writer.send(None)
+    writer.send(first)
+    for frame in frames:
+        writer.send(frame)
+    writer.close()
+
+
+def _even(image: np.ndarray) -> np.ndarray:
+    """Return the image without its last odd row or column, as the encoder needs."""
+    height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    return np.ascontiguousarray(image[:height, :width])

@@ -1,0 +1,1 @@
+"""`plus`: learning what pushes bring from how they look, and choosing among them (PyTorch)."""

@@ -1,0 +1,146 @@
+"""A policy that looks, judges many pushes, carries out the best to its end, and looks again."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mechsearch.camera import preset
+from mechsearch.files import record_from_json
+from mechsearch.files.tensors import Archive, load_archive, save_archive
+from mechsearch.push_values.value import (
+    Ahead,
+    PushValue,
+    PushValueConfig,
+    networks_of,
+    tensors_of,
+)
+from mechsearch.pushes import Push, PushFollower, Sight, draw_pushes, look, view_pushes
+from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
+
+KIND = "mechsearch push policy"
+
+_UNSEEN = np.array([0.0, 0.0, 0.03])
+"""Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
+
+
+@dataclass(frozen=True)
+class PushPolicyConfig:
+    """How pushes are chosen.
+
+    Attributes:
+        candidates: Random pushes to judge each time.
+        camera: View of the images, a name for `camera.preset`.
+        image_size: Side of the images [px].
+    """
+
+    candidates: int = 96
+    camera: str = "overhead"
+    image_size: int = 64
+
+    def __post_init__(self) -> None:
+        if self.candidates < 1:
+            raise MechSearchError(f"candidates is {self.candidates}; expected at least 1")
+
+
+class PushPolicy:
+    """Chooses pushes by the mean judgement of some networks, from what the actor sees."""
+
+    keys: tuple[str, ...] = ACTOR_KEYS
+
+    def __init__(
+        self,
+        networks: Sequence[PushValue],
+        ahead: Ahead,
+        config: PushPolicyConfig,
+        training_actions: int = 0,
+    ) -> None:
+        """Keep copies of the networks.
+
+        Args:
+            networks: Whose mean counts; without any, pushes are random.
+            ahead: What is expected after a push.
+            config: How pushes are chosen.
+            training_actions: Actions executed in its training, for the record.
+        """
+        self.networks = [copy.deepcopy(network).eval() for network in networks]
+        self.ahead, self.config, self.training_actions = ahead, config, training_actions
+        self.camera = preset(config.camera, config.image_size)
+        self.reset(np.random.default_rng(0))
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin an episode; candidates come from `rng`."""
+        self._rng = rng
+        self._follower: PushFollower | None = None
+        self._last_seen = _UNSEEN
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the next action (3,) of the present push, or of a new one."""
+        ee = np.asarray(obs["ee_position"], np.float64)
+        action = None if self._follower is None else self._follower.next(ee)
+        if action is None:
+            sight = self.see(obs)
+            pushes = draw_pushes(self.config.candidates, self._rng)
+            self._follower = PushFollower(pushes[self.best(pushes, sight)], sight)
+            action = self._follower.next(ee)
+        return np.zeros(3, np.float32) if action is None else action
+
+    def see(self, obs: Observation) -> Sight:
+        """Return what an observation shows; a hidden target counts as where it was seen last."""
+        sight = look(obs, self.camera)
+        if sight.centre is None:
+            return replace(sight, centre=self._last_seen)
+        self._last_seen = sight.centre
+        return sight
+
+    def best(self, pushes: Sequence[Push], sight: Sight) -> int:
+        """Return the index of the best push."""
+        return int(np.argmax(self.judge(pushes, sight)))
+
+    def judge(self, pushes: Sequence[Push], sight: Sight) -> Floats:
+        """Return the rewards expected of pushes and of what follows them (n,).
+
+        Without networks all are alike, so that the first, a random one, is the best.
+        """
+        if not self.networks:
+            return np.zeros(len(pushes))
+        views = view_pushes(pushes, sight)
+        patches, numbers = torch.from_numpy(views.patches), torch.from_numpy(views.numbers)
+        planned = torch.from_numpy(views.actions)
+        with torch.inference_mode():
+            values = [n.value(patches, numbers, planned, self.ahead) for n in self.networks]
+            mean: Floats = torch.stack(values).mean(dim=0).double().numpy()
+        return mean
+
+
+def save_push_policy(policy: PushPolicy, path: Path) -> None:
+    """Write a policy to a safetensors file that `load_push_policy` needs nothing beside."""
+    meta = {
+        "network": asdict(policy.networks[0].config),
+        "networks": len(policy.networks),
+        "ahead": asdict(policy.ahead),
+        "policy": asdict(policy.config),
+        "training_actions": policy.training_actions,
+    }
+    save_archive(path, Archive(KIND, tensors_of(policy.networks), meta))
+
+
+def load_push_policy(path: Path) -> PushPolicy:
+    """Read a policy written by `save_push_policy`.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or holds something else.
+    """
+    archive = load_archive(path, KIND)
+    meta = archive.meta
+    config = record_from_json(PushValueConfig, meta["network"])
+    return PushPolicy(
+        networks_of(archive.tensors, int(meta["networks"]), config),
+        record_from_json(Ahead, meta["ahead"]),
+        record_from_json(PushPolicyConfig, meta["policy"]),
+        int(meta["training_actions"]),
+    )
