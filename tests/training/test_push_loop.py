@@ -22,9 +22,9 @@ from mechsearch.push_values.tries import Trials, carry_out
 from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes import draw_pushes, look
 from mechsearch.report import curves
-from mechsearch.train.config import PushLearningConfig, preset_config
-from mechsearch.train.push_loop import learn_pushes
-from mechsearch.train.trained import load_policy
+from mechsearch.training.config import PushLearningConfig, preset_config
+from mechsearch.training.push_loop import learn_pushes
+from mechsearch.training.trained import load_policy
 from mechsearch.types import MechSearchError
 
 
