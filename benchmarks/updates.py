@@ -13,11 +13,12 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.learner import Learner
 from mechsearch.actor_critic.networks import Encoder, NetworkConfig
 from mechsearch.actor_critic.replay import Replay
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.training.config import TrainConfig, preset_config
+from mechsearch.training.config import run_config
 from mechsearch.types import ACTOR_KEYS, Array
 
 PEER = "DDPG of stable-baselines3 2.9, same towers, batch and keys"
@@ -49,8 +50,8 @@ def measure(settings: Settings) -> Iterator[Figure]:
     env = HeapEnv(workload.heaps(15, 4), workload.object_set, config)
     transitions = _transitions(env)
     contenders = {
-        "ddpg": _ours(preset_config("ddpg"), env, transitions),
-        "method": _ours(preset_config("method"), env, transitions),
+        "ddpg": _ours(run_config("ddpg").algorithm, env, transitions),
+        "method": _ours(run_config("method").algorithm, env, transitions),
         "peer": _peer(env, transitions),
     }
     rounds: dict[str, list[float]] = {name: [] for name in contenders}
@@ -80,7 +81,7 @@ def _transitions(env: HeapEnv) -> list[Transition]:
     return rows
 
 
-def _ours(config: TrainConfig, env: HeapEnv, rows: list[Transition]) -> Callable[[int], None]:
+def _ours(config: ActorCritic, env: HeapEnv, rows: list[Transition]) -> Callable[[int], None]:
     """Return our learner's updates."""
     torch.manual_seed(0)
     spaces: Any = env.observation_space
@@ -106,7 +107,7 @@ def _ours(config: TrainConfig, env: HeapEnv, rows: list[Transition]) -> Callable
 def _peer(env: HeapEnv, rows: list[Transition]) -> Callable[[int], None]:
     """Return the peer's updates, from its own replay."""
     seen = _ActorView(env)
-    settings = preset_config("ddpg").learner
+    settings = run_config("ddpg").algorithm.learner
     model = DDPG(
         "MultiInputPolicy",
         seen,

@@ -18,10 +18,13 @@ from stable_baselines3 import DDPG, SAC, TD3
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, Encoder, NetworkConfig
-from mechsearch.actor_critic.policy import ActorPolicy, save_actor
+from mechsearch.actor_critic.policy import ActorPolicy
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.files import write_json
 from mechsearch.files.layout import POLICY_FILE
+from mechsearch.training.policies import save_policy, trained
 
 ALGORITHMS = {"ddpg": DDPG, "td3": TD3, "sac": SAC}
 
@@ -108,7 +111,8 @@ def main(run):
     rewards = [episode["r"] for episode in model.ep_info_buffer]
     config = {**asdict(run), "name": f"sb3-{run.algorithm}", "out": str(run.out)}
     write_json(run.out / "config.json", config)
-    save_actor(ActorPolicy(actor_of(model), model.num_timesteps), run.out / POLICY_FILE)
+    policy = trained(ActorPolicy(actor_of(model)), ActorCritic(), model.num_timesteps, TaskConfig())
+    save_policy(policy, run.out / POLICY_FILE)
     print(f"{config['name']}: {model.num_timesteps} actions, last episodes' mean reward", end=" ")
     print(f"{np.mean(rewards):.1f}; the actor is in {run.out}")
 

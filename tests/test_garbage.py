@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from mechsearch.actor_critic.policy import load_actor
+from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.files import read_json
 from mechsearch.grasp.image_file import read_view
@@ -23,15 +23,15 @@ from mechsearch.objects.masses import read_masses
 from mechsearch.objects.meshes.archive import model_from_npz
 from mechsearch.objects.meshes.mesh_file import read_pieces
 from mechsearch.push_values.session import load_episode
-from mechsearch.training.config import TrainConfig, load_config
-from mechsearch.training.trained import load_policy
+from mechsearch.training.config import load_config
+from mechsearch.training.policies import load_policy
 from mechsearch.types import MechSearchError
 
 READERS = {
     "heaps.parquet": dataset.load,
     "episodes.npz": episodes.load,
     "config.json": load_config,
-    "actor.safetensors": load_actor,
+    "actor.safetensors": load_policy,
     "plus.safetensors": load_policy,
     "pushes.safetensors": load_episode,
     "grasp.safetensors": load_network,
@@ -104,19 +104,19 @@ def test_a_table_of_masses_holds_positive_numbers_or_is_refused(rows, tmp_path):
 def test_json_of_any_shape_is_a_configuration_or_refused(value, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(value))
     config = answered(load_config, tmp_path / "config.json")
-    assert config is None or isinstance(config, TrainConfig)
+    assert config is None or isinstance(config, RunConfig)
 
 
 @MANY
 @given(
-    name=st.sampled_from([*TrainConfig.__dataclass_fields__]),
+    name=st.sampled_from([*RunConfig.__dataclass_fields__]),
     inner=st.sampled_from(["", "gamma", "network", "hidden", "sigma", "networks", "value"]),
     value=json_values,
 )
 def test_a_configuration_with_any_field_replaced_is_one_or_is_refused(name, inner, value, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({name: {inner: value} if inner else value}))
     config = answered(load_config, tmp_path / "config.json")
-    assert config is None or isinstance(config, TrainConfig)
+    assert config is None or isinstance(config, RunConfig)
 
 
 @MANY

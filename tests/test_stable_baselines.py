@@ -4,7 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.actor_critic.policy import ActorPolicy, load_actor, save_actor
+from mechsearch.actor_critic.algorithm import ActorCritic
+from mechsearch.actor_critic.policy import ActorPolicy
+from mechsearch.env.heap_env import TaskConfig
+from mechsearch.training.policies import load_policy, save_policy, trained
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "04_stable_baselines.py"
 
@@ -20,8 +23,9 @@ def example():
 @pytest.mark.parametrize("algorithm", ["ddpg", "td3", "sac"])
 def test_a_peers_actor_written_as_ours_acts_as_it_did_on_heaps(example, algorithm, tmp_path):
     model = example.model_of(example.Run(algorithm))
-    save_actor(ActorPolicy(example.actor_of(model)), tmp_path / "actor.safetensors")
-    ours = load_actor(tmp_path / "actor.safetensors")
+    policy = trained(ActorPolicy(example.actor_of(model)), ActorCritic(), 1, TaskConfig())
+    save_policy(policy, tmp_path / "actor.safetensors")
+    ours = load_policy(tmp_path / "actor.safetensors")
     env = model.get_env().envs[0].unwrapped
     env.action_space.seed(0)
     obs, _ = env.reset(seed=0)

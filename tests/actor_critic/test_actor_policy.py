@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, NetworkConfig
-from mechsearch.actor_critic.policy import ActorPolicy, load_actor, save_actor
+from mechsearch.actor_critic.policy import ActorPolicy
+from mechsearch.env.heap_env import TaskConfig
+from mechsearch.training.policies import load_policy, save_policy, trained
 from mechsearch.types import ACTOR_KEYS, MechSearchError, Policy
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}
@@ -40,12 +43,15 @@ def test_training_goes_on_without_changing_a_policy(actor, obs):
 
 
 def test_a_saved_actor_acts_as_before(actor, obs, tmp_path):
-    save_actor(ActorPolicy(actor, 8000), tmp_path / "actor.safetensors")
+    save_policy(
+        trained(ActorPolicy(actor), ActorCritic(), 8000, TaskConfig()),
+        tmp_path / "actor.safetensors",
+    )
     for path in (tmp_path / "actor.safetensors", tmp_path):
-        loaded = load_actor(path)
+        loaded = load_policy(path)
         np.testing.assert_array_equal(loaded.act(obs), ActorPolicy(actor).act(obs))
         assert loaded.training_actions == 8000
-        assert loaded.actor.config == actor.config
+        assert loaded.policy.actor.config == actor.config
 
 
 def test_an_observation_of_another_shape_is_refused(actor, obs):
@@ -58,24 +64,24 @@ def test_an_observation_of_another_shape_is_refused(actor, obs):
 
 def test_every_flipped_bit_is_found(actor, tmp_path):
     path = tmp_path / "actor.safetensors"
-    save_actor(ActorPolicy(actor, 1), path)
+    save_policy(trained(ActorPolicy(actor), ActorCritic(), 1, TaskConfig()), path)
     whole = path.read_bytes()
     for place in np.linspace(0, len(whole) - 1, 40).astype(int):
         damaged = bytearray(whole)
         damaged[place] ^= 1
         path.write_bytes(bytes(damaged))
         with pytest.raises(MechSearchError, match=r"damaged|holds"):
-            load_actor(path)
+            load_policy(path)
 
 
 def test_a_torn_file_and_a_missing_one_are_refused(actor, tmp_path):
     path = tmp_path / "actor.safetensors"
-    with pytest.raises(MechSearchError, match="no mechsearch actor"):
-        load_actor(path)
-    save_actor(ActorPolicy(actor, 1), path)
+    with pytest.raises(MechSearchError, match="no trained policy"):
+        load_policy(path)
+    save_policy(trained(ActorPolicy(actor), ActorCritic(), 1, TaskConfig()), path)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(MechSearchError, match="damaged"):
-        load_actor(path)
+        load_policy(path)
     path.write_text("hello")
     with pytest.raises(MechSearchError, match="damaged"):
-        load_actor(path)
+        load_policy(path)

@@ -6,8 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from mechsearch.actor_critic.belief import Belief, belief, probability_better
-from mechsearch.actor_critic.guidance import Guidance, GuidanceConfig
+from mechsearch.actor_critic.guidance import (
+    Belief,
+    Guidance,
+    GuidanceConfig,
+    belief,
+    probability_better,
+)
 from mechsearch.types import MechSearchError
 
 values = st.floats(-50, 50)

@@ -11,7 +11,7 @@ from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}
 LOW = {"ee_position": (3,), "target_offset": (3,), "clutter_offsets": (4, 3)}
-EXACT = NetworkConfig(bfloat16=False)
+EXACT = NetworkConfig()
 
 
 def observations(shapes, batch, seed=0):
@@ -99,19 +99,9 @@ def test_scales_travel_with_the_weights():
     assert any(name.endswith("gain") for name in Actor(SHAPES, EXACT).state_dict())
 
 
-def test_half_precision_is_for_training_passes_only():
-    torch.manual_seed(0)
-    actor, obs = Actor(SHAPES, NetworkConfig(bfloat16=True)), observations(SHAPES, 4)
-    exact = Actor(SHAPES, EXACT)
-    exact.load_state_dict(actor.state_dict())
-    assert torch.equal(actor.eval()(obs), exact(obs))
-    assert not torch.equal(actor.train()(obs), exact(obs))
-    torch.testing.assert_close(actor(obs), exact(obs), atol=0.01, rtol=0.1)
-
-
 def test_a_dropout_sample_equals_the_masked_network_written_out():
     torch.manual_seed(0)
-    critic = Critic(LOW, NetworkConfig(bfloat16=False, layer_norm=False), dropout=0.2)
+    critic = Critic(LOW, NetworkConfig(layer_norm=False), dropout=0.2)
     obs, action = observations(LOW, 3), torch.rand(3, 3)
     masks = critic.draw_masks(5, 3, torch.Generator().manual_seed(1))
     first, second = critic.trunk.layers

@@ -46,10 +46,9 @@ def test_what_teachers_did_is_taught_once_its_episode_is_over():
     play(replay, 2, 3, terminated=False)
     replay.add(frame(3, 0), np.zeros(3, np.float32), 0.0, GAMMA, guided=True)
     replay.add(frame(3, 1), np.zeros(3, np.float32), 0.0, GAMMA, guided=True)
-    for horizon in (1, 3):
-        batch = replay.sample(300, np.random.default_rng(0), horizon)
-        guided = batch.obs["who"].sum(1) % 3 == 0
-        np.testing.assert_array_equal(batch.taught, guided & (batch.obs["who"][:, 0] < 3))
+    batch = replay.sample(300, np.random.default_rng(0))
+    guided = batch.obs["who"].sum(1) % 3 == 0
+    np.testing.assert_array_equal(batch.taught, guided & (batch.obs["who"][:, 0] < 3))
 
 
 def lesson(replay, number, rewards, whole=True):
@@ -79,15 +78,6 @@ def test_nothing_is_taught_from_the_episodes_of_lowest_return(capacity):
         batch = kept.sample(300, np.random.default_rng(0))
         assert set(batch.obs["who"][batch.taught, 0]) == {1, 3}
         assert set(batch.obs["who"][~batch.taught, 0]) >= {2, 4}
-
-
-def test_what_was_done_next_is_known_except_at_an_episodes_end():
-    replay = empty()
-    play(replay, 1, 5, terminated=False)
-    batch = replay.sample(300, np.random.default_rng(0))
-    np.testing.assert_array_equal(batch.next_known, batch.next_obs["who"][:, 1] < 5)
-    done, seen = batch.next_action[batch.next_known], batch.next_obs["who"][batch.next_known]
-    np.testing.assert_array_equal(done[:, :2], seen)
 
 
 def test_termination_cuts_the_bootstrap_and_truncation_does_not():
@@ -121,24 +111,21 @@ def test_a_failed_transition_is_left_out_and_the_one_before_it_kept():
 @given(
     st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=12),
     st.integers(2, 20),
-    st.integers(1, 4),
 )
-def test_returns_of_any_horizon_match_a_replay_written_out(episodes, capacity, horizon):
+def test_transitions_match_a_replay_written_out(episodes, capacity):
     replay, written = empty(capacity), {}
     for number, (length, terminated) in enumerate(episodes):
         play(replay, number, length, terminated)
         written[number] = (length, terminated)
     if not len(replay):
         return
-    batch = replay.sample(64, np.random.default_rng(0), horizon)
+    batch = replay.sample(64, np.random.default_rng(0))
     for i, (episode, step) in enumerate(batch.obs["who"]):
         length, terminated = written[episode]
-        stop = min(step + horizon, length)
-        expected = sum(GAMMA ** (j - step) * (10 * episode + j) for j in range(step, stop))
-        cut = terminated and stop == length
-        assert batch.reward[i] == pytest.approx(expected, rel=1e-5)
-        assert batch.discount[i] == pytest.approx(0 if cut else GAMMA ** (stop - step), rel=1e-5)
-        assert tuple(batch.next_obs["who"][i]) == (episode, stop)
+        cut = terminated and step + 1 == length
+        assert batch.reward[i] == 10 * episode + step
+        assert batch.discount[i] == pytest.approx(0 if cut else GAMMA)
+        assert tuple(batch.next_obs["who"][i]) == (episode, step + 1)
 
 
 def test_a_full_ring_forgets_the_oldest():

@@ -9,7 +9,7 @@ from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, Journal, Past
 from mechsearch.experiments.plan import QUICK, VARIANTS, SweepPlan, open_plan, read_plan
 from mechsearch.experiments.schedule import chains_of, next_wave
 from mechsearch.experiments.status import status
-from mechsearch.training.config import preset_config
+from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
 
 
@@ -29,12 +29,12 @@ def test_the_paper_is_planned_by_default():
 
 def test_runs_differ_from_their_presets_in_what_is_watched_alone():
     plan = SweepPlan()
-    run, preset = plan.config("ddpg", 3), preset_config("ddpg")
+    run, preset = plan.config("ddpg", 3), run_config("ddpg")
     assert (run.seed, run.actions, run.held_out_heaps, run.validation_heaps) == (3, 8000, 50, 0)
     same = {"seed": 0, "validation_heaps": preset.validation_heaps}
     assert replace(run, **same, held_out_heaps=0, grasp_network="") == preset
     assert plan.config("plus", 0) == replace(
-        preset_config("plus"), held_out_heaps=50, validation_heaps=0
+        run_config("plus"), held_out_heaps=50, validation_heaps=0
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.experiments.curves import write_curves
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.training.config import preset_config, save_config
+from mechsearch.training.config import run_config, save_config
 from mechsearch.training.log import RunLog
 
 
@@ -13,7 +13,7 @@ from mechsearch.training.log import RunLog
 def test_every_metric_that_was_logged_on_held_out_heaps_is_a_row(tmp_path, more):
     run = tmp_path / "dual" / "runs" / "method-seed0"
     run.mkdir(parents=True)
-    save_config(preset_config("method"), run / CONFIG_FILE)
+    save_config(run_config("method"), run / CONFIG_FILE)
     metrics = (*METRICS, *more)
     scores = {name + end: 0.5 for name in metrics for end in ("", "_ci_low", "_ci_high")}
     log = RunLog(run)

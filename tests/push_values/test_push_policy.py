@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig
 from mechsearch.evaluation.rollout import run_episode
-from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig, load_push_policy
-from mechsearch.push_values.value import Ahead, PushValue, PushValueConfig
+from mechsearch.files.tensors import Archive, save_archive
+from mechsearch.push_values.algorithm import PushValues
+from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
+from mechsearch.push_values.value import Continuation, PushValue, PushValueConfig
 from mechsearch.pushes import draw_pushes, look
-from mechsearch.training.trained import load_policy, save_policy
+from mechsearch.training.policies import load_policy, save_policy, trained
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 SMALL = PushValueConfig(filters=4, hidden=(16, 8))
@@ -20,7 +23,7 @@ SMALL = PushValueConfig(filters=4, hidden=(16, 8))
 def make_policy(networks=2, candidates=12):
     torch.manual_seed(0)
     made = [PushValue(SMALL) for _ in range(networks)]
-    return PushPolicy(made, Ahead(-5.0, 7.0), PushPolicyConfig(candidates), 123)
+    return PushPolicy(made, Continuation(-5.0, 7.0), PushPolicyConfig(candidates))
 
 
 @pytest.fixture
@@ -37,7 +40,7 @@ def test_the_best_push_is_the_one_that_the_networks_rate_highest_on_average(obs)
     policy = make_policy()
     sight, pushes = policy.see(obs), draw_pushes(20, np.random.default_rng(1))
     single = [
-        PushPolicy([network], policy.ahead, policy.config).judge(pushes, sight)
+        PushPolicy([network], policy.continuation, policy.config).judge(pushes, sight)
         for network in policy.networks
     ]
     np.testing.assert_allclose(policy.judge(pushes, sight), np.mean(single, axis=0), atol=1e-5)
@@ -61,9 +64,11 @@ def test_a_push_is_carried_out_to_its_end_before_the_next_is_chosen(env, obs):
 
 def test_a_saved_policy_is_the_same_policy(tmp_path, covered, boxes):
     policy, file = make_policy(), tmp_path / "actor.safetensors"
-    save_policy(policy, file)
-    read = load_policy(file)
-    assert (read.config, read.ahead, read.training_actions) == (policy.config, policy.ahead, 123)
+    save_policy(trained(policy, PushValues(), 123, TaskConfig()), file)
+    loaded = load_policy(file)
+    assert (loaded.training_actions, loaded.camera, loaded.image_size) == (123, "overhead", 64)
+    read = loaded.policy
+    assert (read.config, read.continuation) == (policy.config, policy.continuation)
     quiet = HeapEnv([covered], boxes)
     first, second = (run_episode(p, quiet, 0, seed=1) for p in (policy, read))
     np.testing.assert_array_equal(first.actions, second.actions)
@@ -102,7 +107,7 @@ def test_without_networks_pushes_are_random_and_the_generator_decides(obs):
 
 def test_training_the_networks_later_does_not_change_a_policy(obs):
     network = PushValue(SMALL)
-    policy = PushPolicy([network], Ahead(), PushPolicyConfig(12))
+    policy = PushPolicy([network], Continuation(), PushPolicyConfig(12))
     sight, pushes = look(obs, policy.camera), draw_pushes(5, np.random.default_rng(0))
     before = policy.judge(pushes, sight)
     with torch.no_grad():
@@ -115,7 +120,7 @@ def test_damaged_foreign_and_missing_files_are_refused(tmp_path):
     file = tmp_path / "actor.safetensors"
     with pytest.raises(MechSearchError, match="no trained policy at"):
         load_policy(file)
-    save_policy(make_policy(), file)
+    save_policy(trained(make_policy(), PushValues(), 123, TaskConfig()), file)
     data = bytearray(file.read_bytes())
     data[-5] ^= 1
     file.write_bytes(data)
@@ -126,14 +131,14 @@ def test_damaged_foreign_and_missing_files_are_refused(tmp_path):
         load_policy(file)
 
 
-def test_an_actor_is_not_taken_for_a_push_policy(tmp_path):
-
+def test_a_file_says_by_which_algorithm_its_policy_was_learnt(tmp_path):
     file = tmp_path / "actor.safetensors"
     actor = Actor({"ee_position": (3,)}, NetworkConfig(hidden=(8, 8)))
-    save_policy(ActorPolicy(actor), file)
-    assert isinstance(load_policy(file), ActorPolicy)
-    with pytest.raises(MechSearchError, match="expected a mechsearch push policy"):
-        load_push_policy(file)
+    save_policy(trained(ActorPolicy(actor), ActorCritic(), 5, TaskConfig()), file)
+    assert isinstance(load_policy(file).policy, ActorPolicy)
+    save_archive(file, Archive("mechsearch checkpoint", {}, {}))
+    with pytest.raises(MechSearchError, match="holds a mechsearch checkpoint; expected"):
+        load_policy(file)
 
 
 def test_no_candidates_are_refused():

@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from mechsearch.push_values.value import (
-    Ahead,
-    Outcome,
+    Continuation,
+    PushOutcome,
     PushSamples,
     PushValue,
     PushValueConfig,
-    fit,
+    fit_pushes,
     targets,
 )
 from mechsearch.pushes import NUMBERS, PATCH, PushViews
@@ -38,7 +38,7 @@ def samples(count, seed=0, straight=1.0):
         np.zeros((count, *PATCH), np.float16), numbers, np.full(count, 10, np.float32)
     )
     good = numbers[:, 1] > 0
-    outcomes = [Outcome(4.0 if g else -4.0, 10, bool(g), 0.0 if g else 0.8, 0.0) for g in good]
+    outcomes = [PushOutcome(4.0 if g else -4.0, 10, bool(g), 0.0 if g else 0.8, 0.0) for g in good]
     return PushSamples.of(views, outcomes), good
 
 
@@ -48,7 +48,7 @@ def test_targets_are_reward_less_moved_clutter_success_occlusion_and_surplus_act
         np.array([8], np.float32),
     )  # fmt: skip
     found = targets(
-        PushSamples.of(views, [Outcome(2.5, 13, True, 0.1, 0.05)]),
+        PushSamples.of(views, [PushOutcome(2.5, 13, True, 0.1, 0.05)]),
         PushValueConfig(gentleness=30),
     )
     np.testing.assert_allclose(found, [[(2.5 - 30 * 0.05) / 5, 1.0, 0.1, (13 - 8) / 5]], rtol=1e-6)
@@ -63,17 +63,19 @@ def test_a_push_is_worth_its_reward_its_time_and_what_follows_if_the_target_stay
 
     network.forward = says
     nothing = torch.zeros(1)
-    value = network.value(nothing, nothing, torch.tensor([8.0]), Ahead(-6.0, 4.0))
+    value = network.value(nothing, nothing, torch.tensor([8.0]), Continuation(-6.0, 4.0), 0.5)
     assert value.item() == pytest.approx(3 - 0.5 * 10 + 0.75 * (-6 - 4 * 0.5))
 
 
 def test_what_decides_is_learnt_and_holds_for_new_pushes():
     torch.manual_seed(0)
     network = PushValue(SMALL)
-    fit(network, samples(600)[0], seed=0)
+    fit_pushes(network, samples(600)[0], seed=0)
     fresh, good = samples(200, seed=1)
     with torch.inference_mode():
-        value = network.value(fresh.patches, fresh.numbers, fresh.planned, Ahead()).numpy()
+        value = network.value(
+            fresh.patches, fresh.numbers, fresh.planned, Continuation(), 0.5
+        ).numpy()
     assert np.mean((value > value.mean()) == good) > 0.9
     assert value[good].mean() == pytest.approx(4 - 5, abs=1.0)
     assert value[~good].mean() == pytest.approx(-4 - 5 - 6 - 6 * 0.8, abs=1.5)
@@ -86,9 +88,9 @@ def test_a_picture_that_decides_is_read():
     data.patches[torch.from_numpy(good), 0, 8:24, 20:28] = 1.0
     torch.manual_seed(0)
     network = PushValue(SMALL)
-    fit(network, data, seed=0)
+    fit_pushes(network, data, seed=0)
     with torch.inference_mode():
-        value = network.value(data.patches, data.numbers, data.planned, Ahead()).numpy()
+        value = network.value(data.patches, data.numbers, data.planned, Continuation(), 0.5).numpy()
     assert np.mean((value > value.mean()) == good) > 0.95
 
 
@@ -97,7 +99,7 @@ def test_the_same_seed_fits_the_same_bits_and_another_others():
     for seed in (3, 3, 4):
         torch.manual_seed(0)
         network = PushValue(replace(SMALL, epochs=2, dropout=0.3))
-        fit(network, samples(64)[0], seed)
+        fit_pushes(network, samples(64)[0], seed)
         weights.append(torch.cat([p.flatten() for p in network.parameters()]))
     assert torch.equal(weights[0], weights[1])
     assert not torch.equal(weights[0], weights[2])
@@ -113,13 +115,14 @@ def test_left_and_right_of_straight_pushes_are_judged_alike_after_a_fit():
     data.outcomes[:, 0] = torch.where(bad, -5.0, 5.0)
     torch.manual_seed(0)
     network = PushValue(SMALL)
-    fit(network, data, seed=0)
+    fit_pushes(network, data, seed=0)
     left, right = data.patches[:1], data.patches[:1].flip(-2)
     with torch.inference_mode():
         judged = [
-            network.value(p, data.numbers[:1], data.planned[:1], Ahead()) for p in (left, right)
+            network.value(p, data.numbers[:1], data.planned[:1], Continuation(), 0.5)
+            for p in (left, right)
         ]
-        clear = network.value(0 * left, data.numbers[:1], data.planned[:1], Ahead())
+        clear = network.value(0 * left, data.numbers[:1], data.planned[:1], Continuation(), 0.5)
     assert judged[1].item() == pytest.approx(judged[0].item(), abs=2.0)
     assert clear.item() > judged[1].item() + 4
 

@@ -1,20 +1,19 @@
 """A small world: move the effector to the target. No physics, the same observations."""
 
-from dataclasses import replace
-
 import gymnasium
 import numpy as np
 import pytest
 
-from mechsearch.actor_critic.collector import Parts
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.learner import LearnerConfig
 from mechsearch.actor_critic.networks import NetworkConfig
-from mechsearch.training.config import TrainConfig
+from mechsearch.algorithm import RunConfig, TrainingSetup
 from mechsearch.types import TEACHER_KEYS
+from tests.runs import changed
 
 SIZE = 16
 BOX = gymnasium.spaces.Box
-SMALL = NetworkConfig(filters=4, hidden=(32, 32), bfloat16=False)
+SMALL = NetworkConfig(filters=4, hidden=(32, 32))
 
 
 class ReachEnv(gymnasium.Env):
@@ -136,7 +135,7 @@ def pointer():
 def make_parts():
     def make(env=None, teachers=True):
         guides = {"straight": Pointer(), "zigzag": Pointer(-1.0)} if teachers else {}
-        return Parts(env or ReachEnv(), range(8), guides, {"validation": distance_left})
+        return TrainingSetup(env or ReachEnv(), range(8), guides, {"validation": distance_left})
 
     return make
 
@@ -144,8 +143,8 @@ def make_parts():
 @pytest.fixture(scope="session")
 def config():
     learner = LearnerConfig(batch=16, samples=5, network=SMALL, actor_rate=1e-3, actor_tau=0.05)
-    return replace(
-        TrainConfig(),
+    return changed(
+        RunConfig("method", ActorCritic()),
         actions=120,
         teachers=("straight", "zigzag"),
         warmup=20,

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from mechsearch.actor_critic.networks import NetworkConfig
-from mechsearch.actor_critic.policy import load_actor
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive
 from mechsearch.heaps.dataset import HeapSet, load, object_set
 from mechsearch.training.assemble import assemble
-from mechsearch.training.checkpoint import KIND
 from mechsearch.training.config import PRESETS
 from mechsearch.training.loop import train
+from mechsearch.training.policies import load_policy
+from mechsearch.training.run_directory import CHECKPOINT_KIND
 from mechsearch.types import MechSearchError
+from tests.runs import changed
 
 SMALL = NetworkConfig(filters=4, hidden=(32, 32))
 
@@ -27,8 +28,8 @@ def heap_set(covered):
 
 @pytest.fixture
 def debug():
-    learner = replace(PRESETS["debug"].learner, network=SMALL)
-    return replace(
+    learner = replace(PRESETS["debug"].algorithm.learner, network=SMALL)
+    return changed(
         PRESETS["debug"],
         actions=24,
         warmup=8,
@@ -51,32 +52,32 @@ def test_training_validation_and_held_out_heaps_are_apart(debug, heap_set, boxes
 
 
 def test_held_out_heaps_are_not_watched_unless_asked(debug, heap_set, boxes):
-    parts = assemble(replace(debug, held_out_heaps=0), heap_set, boxes)
+    parts = assemble(changed(debug, held_out_heaps=0), heap_set, boxes)
     assert set(parts.evaluators) == {"validation"}
 
 
 def test_evaluation_shows_the_actor_its_own_keys_alone(debug, heap_set, boxes):
     env = assemble(debug, heap_set, boxes).evaluators["validation"].env
-    assert set(env.observation_space.spaces) == set(debug.actor_keys)
+    assert set(env.observation_space.spaces) == set(debug.algorithm.keys)
 
 
 def test_too_few_heaps_are_refused(debug, heap_set, boxes):
     with pytest.raises(MechSearchError, match="9 validation heaps asked for; the set has 4"):
-        assemble(replace(debug, validation_heaps=9), heap_set, boxes)
+        assemble(changed(debug, validation_heaps=9), heap_set, boxes)
     with pytest.raises(MechSearchError, match="leave none to learn on"):
-        assemble(replace(debug, validation_heaps=4), heap_set, boxes)
+        assemble(changed(debug, validation_heaps=4), heap_set, boxes)
 
 
 def test_a_real_heap_trains_resumes_and_acts(debug, heap_set, boxes, tmp_path):
     train(debug, assemble(debug, heap_set, boxes), tmp_path / "whole")
-    shorter = replace(debug, actions=20)
+    shorter = changed(debug, actions=20)
     train(shorter, assemble(shorter, heap_set, boxes), tmp_path / "parts")
     train(debug, assemble(debug, heap_set, boxes), tmp_path / "parts", resume=True)
     whole, parts = ((tmp_path / n / "metrics.jsonl").read_bytes() for n in ("whole", "parts"))
     assert whole == parts
     kinds = {record["kind"] for record in read_lines(tmp_path / "whole" / "metrics.jsonl")}
     assert kinds >= {"validation", "held_out"}
-    policy = load_actor(tmp_path / "whole")
+    policy = load_policy(tmp_path / "whole")
     env = assemble(debug, heap_set, boxes).evaluators["validation"].env
     obs, _ = env.reset(options={"heap": 0, "fixed_start": True})
     assert np.abs(policy.act(obs)).max() <= 1
@@ -89,12 +90,12 @@ def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
     found = load(Path(str(resources.files("mechsearch.heaps") / "household_single.parquet")))
     few = HeapSet(tuple(found.heaps[i] for i in (0, 8, 17)), found.manifest, "")
     objects = object_set("household")
-    longer = replace(debug, actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)
+    longer = changed(debug, actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)
     train(longer, assemble(longer, few, objects), tmp_path / "whole")
-    shorter = replace(longer, actions=actions)
+    shorter = changed(longer, actions=actions)
     train(shorter, assemble(shorter, few, objects), tmp_path / "parts")
     last = tmp_path / "parts" / "checkpoints" / f"step-{actions:08d}.safetensors"
-    episode = load_archive(last, KIND).meta["episode"]
+    episode = load_archive(last, CHECKPOINT_KIND).meta["episode"]
     assert set(episode["teachers"]) == {"straight", "zigzag", "spiral"}
     # Environments of their own, as in another process.
     train(longer, assemble(longer, few, objects), tmp_path / "parts", resume=True)
@@ -106,7 +107,7 @@ def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
 def test_rating_the_targets_of_held_out_heaps_changes_nothing_else(
     debug, heap_set, boxes, tmp_path
 ):
-    rated = replace(debug, grasp_network="shipped")
+    rated = changed(debug, grasp_network="shipped")
     for name, config in (("rated", rated), ("plain", debug)):
         train(config, assemble(config, heap_set, boxes), tmp_path / name)
     logs = {
@@ -119,11 +120,11 @@ def test_rating_the_targets_of_held_out_heaps_changes_nothing_else(
         same = ours.keys() & theirs.keys() - {"check"}
         assert {name: repr(ours[name]) for name in same} == {n: repr(theirs[n]) for n in same}
     actors = [(tmp_path / name / "actor.safetensors").read_bytes() for name in logs]
-    assert load_actor(tmp_path / "rated").training_actions == debug.actions
+    assert load_policy(tmp_path / "rated").training_actions == debug.schedule.actions
     assert actors[0] == actors[1]
 
 
 def test_a_grasp_network_that_is_not_there_is_refused(debug, heap_set, boxes, tmp_path):
-    absent = replace(debug, grasp_network=str(tmp_path / "absent.safetensors"))
+    absent = changed(debug, grasp_network=str(tmp_path / "absent.safetensors"))
     with pytest.raises(MechSearchError, match=r"absent\.safetensors"):
         assemble(absent, heap_set, boxes)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from mechsearch import files
-from mechsearch.actor_critic.policy import load_actor
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.experiments.folder import SweepFolder
@@ -25,20 +25,17 @@ from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
-from mechsearch.push_values.policy import (
-    PushPolicy,
-    PushPolicyConfig,
-    load_push_policy,
-    save_push_policy,
-)
+from mechsearch.push_values.algorithm import PushValues
+from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
-from mechsearch.push_values.value import Ahead, PushSamples, PushValue, PushValueConfig
+from mechsearch.push_values.value import Continuation, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes import NUMBERS, PATCH
 from mechsearch.report.curves import read_run
-from mechsearch.training import checkpoint
-from mechsearch.training.checkpoint import RunDirectory
+from mechsearch.training import run_directory
 from mechsearch.training.config import load_config
 from mechsearch.training.loop import train
+from mechsearch.training.policies import load_policy, save_policy, trained
+from mechsearch.training.run_directory import RunDirectory
 from mechsearch.training.trial import TrialInputs
 from mechsearch.types import MechSearchError
 
@@ -107,7 +104,9 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
     )
     pushes = EpisodeOfPushes(samples, torch.rand(2, 2), {"heap": 3, "end": "uncovered"})
     values = [PushValue(PushValueConfig(filters=4, hidden=(8, 4))) for _ in range(2)]
-    plus = PushPolicy(values, Ahead(), PushPolicyConfig(12), 60)
+    plus = trained(
+        PushPolicy(values, Continuation(), PushPolicyConfig(12)), PushValues(), 60, TaskConfig()
+    )
     episode = EpisodeRecord(
         *(7, 2, "single", "idle", ("cup", "box"), 0),
         *(np.zeros((3, 3), np.float32), rng.normal(size=(4, 3)), rng.uniform(size=4)),
@@ -148,9 +147,9 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         "metrics": Kind("metrics.jsonl", copied("config.json", "metrics.jsonl"), read_run),
         "checkpoint": Kind(
             last, copied(*of_run), lambda f: RunDirectory(f).open(short, resume=True),
-            (checkpoint, "FORMAT"),
+            (run_directory, "CHECKPOINT_FORMAT"),
         ),
-        "actor": Kind(actor, copied(actor), lambda f: load_actor(f).actor, archive_format),
+        "actor": Kind(actor, copied(actor), lambda f: load_policy(f).policy.actor, archive_format),
         "episodes": Kind(
             "idle.npz",
             lambda f: episodes.save(f / "idle.npz", Evaluation({"name": "idle"}, (episode,))),
@@ -172,8 +171,8 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         ),
         "push policy": Kind(
             "plus.safetensors",
-            lambda f: save_push_policy(plus, f / "plus.safetensors"),
-            lambda f: load_push_policy(f / "plus.safetensors").networks,
+            lambda f: save_policy(plus, f / "plus.safetensors"),
+            lambda f: load_policy(f / "plus.safetensors").policy.networks,
             archive_format,
         ),
         "labelled grasps": Kind(
@@ -326,7 +325,9 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
         now.setattr(weights, "FORMAT", 1)
         archive = weights.load_archive(file, f"mechsearch {name}")
     if name == "checkpoint":
-        archive = replace(archive, meta={**archive.meta, "checkpoint": checkpoint.FORMAT})
+        archive = replace(
+            archive, meta={**archive.meta, "checkpoint": run_directory.CHECKPOINT_FORMAT}
+        )
     weights.save_archive(file, archive)
 
 

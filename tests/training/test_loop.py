@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from mechsearch.actor_critic.guidance import Guidance
-from mechsearch.actor_critic.policy import load_actor
-from mechsearch.actor_critic.session import Session
+from mechsearch.actor_critic.session import ActorCriticSession
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive, save_archive
 from mechsearch.training.loop import train
+from mechsearch.training.policies import load_policy
 from mechsearch.types import ACTOR_KEYS, MechSearchError
+from tests.runs import changed
 
 
 def lines(directory, kind=None):
@@ -38,7 +39,7 @@ def test_a_run_writes_all_its_files(whole):
     }  # fmt: skip
     assert [r["step"] for r in lines(run, "validation")] == [50, 100, 120]
     assert lines(run, "validation")[-1]["reward"] == scores["reward"]
-    assert load_actor(run).training_actions == 120
+    assert load_policy(run).training_actions == 120
     assert len(list((run / "checkpoints").iterdir())) == 2
     assert not list(run.rglob("*.partial*"))
 
@@ -69,7 +70,7 @@ def test_who_finishes_first_changes_nothing(whole, config, make_parts, reach_env
 
 
 def test_the_collector_stops_at_an_episodes_end_and_goes_on_where_it_was(config, make_parts):
-    session = Session(config, make_parts())
+    session = ActorCriticSession(config, make_parts())
     first = session.collector.collect(3)
     again = session.collector.collect(100)
     episode = first + again
@@ -81,7 +82,7 @@ def test_the_collector_stops_at_an_episodes_end_and_goes_on_where_it_was(config,
 
 
 def test_another_seed_gives_another_run(whole, config, make_parts, tmp_path):
-    train(replace(config, seed=1, actions=30), make_parts(), tmp_path)
+    train(changed(config, seed=1, actions=30), make_parts(), tmp_path)
     first, other = (next(read_lines(run / "metrics.jsonl")) for run in (whole[0], tmp_path))
     assert first != other
 
@@ -91,7 +92,7 @@ def test_a_run_made_longer_is_the_run_that_was_never_stopped(
     actions, whole, config, make_parts, tmp_path
 ):
     """In the middle of an episode and of a block, at an evaluation, before the first update."""
-    train(replace(config, actions=actions), make_parts(), tmp_path)
+    train(changed(config, actions=actions), make_parts(), tmp_path)
     train(config, make_parts(), tmp_path, resume=True)
     # The shorter run looked at itself once more, at its end; that line is not of the longer run.
     last = "checkpoints/" + last_checkpoint(whole[0])
@@ -99,10 +100,10 @@ def test_a_run_made_longer_is_the_run_that_was_never_stopped(
 
 
 def test_a_run_may_be_made_longer_action_by_action(config, make_parts, tmp_path):
-    config = replace(config, actions=34, noise=replace(config.noise, correlation=0.7))
+    config = changed(config, actions=34, noise=replace(config.algorithm.noise, correlation=0.7))
     train(config, make_parts(), tmp_path / "whole")
     for actions in range(18, 35):
-        longer = replace(config, actions=actions)
+        longer = changed(config, actions=actions)
         train(longer, make_parts(), tmp_path / "longer", resume=actions > 18)
     assert_same_files(tmp_path / "longer", tmp_path / "whole", "metrics.jsonl", "actor.safetensors")
 
@@ -126,14 +127,14 @@ def test_a_killed_run_resumes_exactly(killed_at, whole, config, make_parts, reac
 
 
 def test_where_checkpoints_are_written_changes_nothing(whole, config, make_parts, tmp_path):
-    train(replace(config, checkpoint_every=7), make_parts(), tmp_path)
+    train(changed(config, checkpoint_every=7), make_parts(), tmp_path)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
 def test_checkpoints_are_written_on_time_and_at_the_end_and_hold_the_episode(
     config, make_parts, tmp_path
 ):
-    train(replace(config, actions=47, checkpoint_every=45), make_parts(), tmp_path)
+    train(changed(config, actions=47, checkpoint_every=45), make_parts(), tmp_path)
     names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
     assert names == ["step-00000045.safetensors", "step-00000047.safetensors"]
     held = [load_archive(tmp_path / "checkpoints" / n, "mechsearch checkpoint") for n in names]
@@ -145,13 +146,13 @@ def test_checkpoints_are_written_on_time_and_at_the_end_and_hold_the_episode(
 
 
 def test_a_run_is_not_made_shorter(config, make_parts, tmp_path):
-    train(replace(config, actions=30), make_parts(), tmp_path)
+    train(changed(config, actions=30), make_parts(), tmp_path)
     with pytest.raises(MechSearchError, match=r"executed 30 actions already.*at least.*not 29"):
-        train(replace(config, actions=29), make_parts(), tmp_path, resume=True)
+        train(changed(config, actions=29), make_parts(), tmp_path, resume=True)
 
 
 def test_a_checkpoint_of_an_earlier_format_is_refused_by_its_number(config, make_parts, tmp_path):
-    train(replace(config, actions=30), make_parts(), tmp_path)
+    train(changed(config, actions=30), make_parts(), tmp_path)
     path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
     archive = load_archive(path, "mechsearch checkpoint")
     older = {name: value for name, value in archive.meta.items() if name != "checkpoint"}
@@ -161,7 +162,7 @@ def test_a_checkpoint_of_an_earlier_format_is_refused_by_its_number(config, make
 
 
 def test_a_log_that_lost_lines_or_bits_is_named(config, make_parts, tmp_path):
-    train(replace(config, actions=60), make_parts(), tmp_path)
+    train(changed(config, actions=60), make_parts(), tmp_path)
     log = tmp_path / "metrics.jsonl"
     content = log.read_bytes()
     log.write_bytes(content[: len(content) // 3])
@@ -203,7 +204,7 @@ def last_checkpoint(run):
 
 
 def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp_path):
-    config = replace(config, actions=60, checkpoint_every=1)
+    config = changed(config, actions=60, checkpoint_every=1)
     train(config, make_parts(reach_env(fail_at=30)), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     archive = load_archive(path, "mechsearch checkpoint")
@@ -222,7 +223,7 @@ def test_the_actor_is_drawn_to_the_teachers_that_are_imitated(
     imitated, choices, config, make_parts, monkeypatch
 ):
     monkeypatch.setattr(Guidance, "choose", lambda self, samples, rng: int(rng.integers(3)))
-    session = Session(replace(config, imitated=imitated), make_parts())
+    session = ActorCriticSession(changed(config, imitated=imitated), make_parts())
     acted = []
     while len(acted) < 60:
         for done in session.collector.collect(4):
@@ -236,11 +237,11 @@ def test_the_actor_is_drawn_to_the_teachers_that_are_imitated(
 
 
 def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):
-    config = replace(config, actions=60, updates_per_action=1.5, evaluate_every=60)
+    config = changed(config, actions=60, updates_per_action=1.5, evaluate_every=60)
     train(config, make_parts(), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     counts = load_archive(path, "mechsearch checkpoint").meta["counts"]
-    assert counts["updates"] == int(1.5 * (counts["step"] - config.warmup))
+    assert counts["updates"] == int(1.5 * (counts["step"] - config.algorithm.warmup))
 
 
 @pytest.mark.parametrize(
@@ -253,15 +254,15 @@ def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path)
 )
 def test_ablations_are_settings_of_the_same_loop(changes, config, make_parts, tmp_path):
     if "noise" in changes:
-        changes = {"noise": replace(config.noise, **changes["noise"])}
-    config = replace(config, actions=40, evaluate_every=40, **changes)
-    train(config, make_parts(teachers=bool(config.teachers)), tmp_path / "run")
+        changes = {"noise": replace(config.algorithm.noise, **changes["noise"])}
+    config = changed(config, actions=40, evaluate_every=40, **changes)
+    train(config, make_parts(teachers=bool(config.algorithm.teachers)), tmp_path / "run")
     assert len(lines(tmp_path / "run", "validation")) == 1
 
 
 def test_evaluation_is_without_noise_and_teachers(whole, score):
     run, scores, _ = whole
-    assert score(load_actor(run)) == scores
+    assert score(load_policy(run)) == scores
 
 
 def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(whole):
@@ -270,12 +271,12 @@ def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(wh
 
 
 def test_a_directory_with_a_run_is_not_overwritten(config, make_parts, tmp_path):
-    train(replace(config, actions=20), make_parts(), tmp_path)
+    train(changed(config, actions=20), make_parts(), tmp_path)
     before = (tmp_path / "metrics.jsonl").read_bytes()
     with pytest.raises(MechSearchError, match="holds a run already"):
         train(config, make_parts(), tmp_path)
     with pytest.raises(MechSearchError, match="seed was 0 and is 3"):
-        train(replace(config, seed=3), make_parts(), tmp_path, resume=True)
+        train(changed(config, seed=3), make_parts(), tmp_path, resume=True)
     assert (tmp_path / "metrics.jsonl").read_bytes() == before
 
 
@@ -284,17 +285,17 @@ def test_an_environment_without_privileged_keys_is_refused(config, make_parts, r
     del (space := dict(env.observation_space.spaces))["target_offset"]
     env.observation_space = type(env.observation_space)(space)
     with pytest.raises(MechSearchError, match=r"target_offset.*privileged"):
-        Session(config, make_parts(env))
+        ActorCriticSession(config, make_parts(env))
 
 
 def test_a_damaged_checkpoint_is_named(config, make_parts, tmp_path):
-    train(replace(config, actions=60), make_parts(), tmp_path)
+    train(changed(config, actions=60), make_parts(), tmp_path)
     path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     with pytest.raises(MechSearchError, match=path.name):
-        train(replace(config, actions=200), make_parts(), tmp_path, resume=True)
+        train(changed(config, actions=200), make_parts(), tmp_path, resume=True)
 
 
 def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score):
@@ -307,7 +308,7 @@ def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score)
         def act(self, obs):
             return np.zeros(3, np.float32)
 
-    config = replace(
+    config = changed(
         config, actions=300, evaluate_every=300, updates_per_action=1.0, checkpoint_every=1000
     )
     scores = train(config, make_parts(), tmp_path)

@@ -1,34 +1,48 @@
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.learner import LearnerConfig
-from mechsearch.training.config import (
-    PRESETS,
-    PushLearningConfig,
-    TrainConfig,
-    load_config,
-    preset_config,
-    save_config,
-)
+from mechsearch.algorithm import RunConfig, Schedule
+from mechsearch.env.heap_env import TaskConfig
+from mechsearch.push_values.algorithm import PushValues
+from mechsearch.training.config import PRESETS, load_config, run_config, save_config
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
+from tests.runs import changed
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_come_back_from_their_file(name, tmp_path):
-    save_config(PRESETS[name], tmp_path / "config.json")
-    assert load_config(tmp_path / "config.json") == PRESETS[name]
-    assert PRESETS[name].name == name
+    config = changed(PRESETS[name], max_actions=33, reward=replace(TaskConfig().reward, movement=9))
+    save_config(config, tmp_path / "config.json")
+    assert load_config(tmp_path / "config.json") == config
+    assert config.name == name
+
+
+def test_a_file_has_the_options_of_its_own_algorithm_alone(tmp_path):
+    save_config(PRESETS["plus"], tmp_path / "config.json")
+    found = json.loads((tmp_path / "config.json").read_text())
+    assert found["algorithm"].keys() == {
+        "kind",
+        "networks",
+        "candidates",
+        "tries",
+        "explore",
+        "ranked",
+        "value",
+    }
+    assert {"learner", "teachers", "noise", "pushes"} & found.keys() == set()
 
 
 def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
-    ddpg, method = PRESETS["ddpg"], PRESETS["method"]
+    ddpg, method = PRESETS["ddpg"].algorithm, PRESETS["method"].algorithm
     assert ddpg.teachers == ()
     assert ddpg.critic_keys == ddpg.actor_keys == method.actor_keys
     same = replace(
         ddpg,
-        name="method",
         teachers=method.teachers,
         imitated=method.imitated,
         critic_keys=method.critic_keys,
@@ -45,17 +59,17 @@ def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
 
 
 def test_pushes_are_learnt_under_any_camera():
-    assert replace(PRESETS["plus"], camera="tilted").learner.symmetry
+    assert changed(PRESETS["plus"], camera="tilted").task.camera == "tilted"
 
 
 def test_only_the_no_pose_ablation_changes_what_the_actor_sees():
-    changed = {name for name, config in PRESETS.items() if config.actor_keys != ACTOR_KEYS}
-    assert changed == {"no-pose-input"}
+    found = {name for name, config in PRESETS.items() if config.algorithm.keys != ACTOR_KEYS}
+    assert found == {"no-pose-input"}
 
 
 def test_no_actor_sees_privileged_keys():
     for config in PRESETS.values():
-        assert not set(config.actor_keys) & set(PRIVILEGED_KEYS)
+        assert not set(config.algorithm.keys) & set(PRIVILEGED_KEYS)
 
 
 @pytest.mark.parametrize(
@@ -66,13 +80,8 @@ def test_no_actor_sees_privileged_keys():
             "imitated names 'sprial', but .* straight, zigzag",
         ),
         ({"imitated": ("spiral",), "teachers": ()}, "imitated names 'spiral'.* are none"),
-        ({"teachers": ("push",)}, "unknown teacher 'push'; choose among straight"),
         ({"learner": LearnerConfig(dropout=0.0)}, "teachers need a Bayesian critic"),
         ({"actor_keys": ("target_offset",)}, "must not see 'target_offset'"),
-        (
-            {"pushes": PushLearningConfig(networks=1), "actions": 4500},
-            "fits its networks every 1000 actions .* actions is 4500; expected a multiple",
-        ),
         ({"camera": "tilted", "learner": LearnerConfig(symmetry=True)}, "overhead"),
         (
             {"grasp_network": "shipped"},
@@ -86,31 +95,60 @@ def test_no_actor_sees_privileged_keys():
 )
 def test_contradictions_are_refused(changes, message):
     with pytest.raises(MechSearchError, match=message):
-        replace(TrainConfig(), **changes)
+        changed(RunConfig("method", ActorCritic()), **changes)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"networks": -1}, "networks is -1; expected at least 0"),
+        ({"networks": 0}, "networks is 0; expected at least 1"),
         ({"tries": 0}, "tries is 0; expected at least 1"),
         ({"explore": 1.5}, r"explore is 1.5 and ranked 0.5; expected shares in \[0, 1\]"),
     ],
 )
 def test_pushes_that_cannot_be_learnt_are_refused(changes, message):
     with pytest.raises(MechSearchError, match=message):
-        PushLearningConfig(**changes)
+        PushValues(**changes)
 
 
 def test_an_unknown_variant_is_refused_with_the_valid_ones():
     with pytest.raises(MechSearchError, match="method, ddpg"):
-        preset_config("sac")
+        run_config("sac")
 
 
 def test_an_unknown_field_in_a_file_is_refused(tmp_path):
     path = tmp_path / "config.json"
-    path.write_text(json.dumps({**asdict(TrainConfig()), "speed": 3}))
-    with pytest.raises(MechSearchError, match="TrainConfig has no speed"):
+    save_config(PRESETS["method"], path)
+    found = {k: v for k, v in json.loads(path.read_text()).items() if k not in ("check", "record")}
+    path.write_text(json.dumps({**found, "algorithm": {**found["algorithm"], "speed": 3}}))
+    with pytest.raises(MechSearchError, match="ActorCritic has no speed"):
         load_config(path)
     with pytest.raises(MechSearchError, match="no training configuration"):
         load_config(tmp_path / "none.json")
+
+
+PAPER = Path(__file__).parents[2] / "results" / "paper"
+
+
+@pytest.mark.parametrize(
+    "variant", ["method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus"]
+)
+def test_runs_of_earlier_versions_are_the_presets_that_they_were(variant):
+    """The committed runs of the paper's table, whose files had the options of both algorithms."""
+    found = load_config(PAPER / "single" / "runs" / f"{variant}-seed2" / "config.json")
+    watched = found.schedule.grasp_network
+    schedule = replace(Schedule(), validation_heaps=0, held_out_heaps=50, grasp_network=watched)
+    assert found == replace(PRESETS[variant], seed=2, schedule=schedule)
+
+
+def test_an_option_that_went_is_read_where_it_had_the_value_that_all_have_now(tmp_path):
+    old = {"name": "method", "seed": 0, "learner": {"horizon": 1, "gamma": 0.5}}
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps(old))
+    assert load_config(path).algorithm.learner == LearnerConfig(gamma=0.5)
+    path.write_text(json.dumps({**old, "learner": {"horizon": 3}}))
+    with pytest.raises(MechSearchError, match="horizon is 3, and this version knows 1 alone"):
+        load_config(path)
+    path.write_text(json.dumps({**old, "speed": 3}))
+    with pytest.raises(MechSearchError, match="has no speed"):
+        load_config(path)

@@ -13,7 +13,7 @@ from mechsearch.evaluation.policies import policy_names
 from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.heaps.dataset import load
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.training.config import preset_config
+from mechsearch.training.config import run_config
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,15 @@ class Demo(Command):
         say(describe(load(path)))
 
     def _train(self, heaps: Path, folder: Path) -> None:
-        config = replace(
-            preset_config("method"),
-            seed=self.seed,
+        config = run_config("method")
+        schedule = replace(
+            config.schedule,
             actions=self.actions,
-            updates_per_action=0.5,
             evaluate_every=500,
             validation_heaps=min(12, self.heaps // 8),
         )
+        algorithm = replace(config.algorithm, updates_per_action=0.5)
         resume = (folder / CONFIG_FILE).exists()
-        Train(heaps, folder, config, resume=resume).run()
+        Train(
+            heaps, folder, "method", self.seed, schedule, config.task, algorithm, resume=resume
+        ).run()

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Generic, Self
 
 import tyro
 
-from mechsearch.algorithm import RunConfig, Schedule
+from mechsearch.algorithm import A, RunConfig, Schedule
 from mechsearch.cli.command import Command, bars, say, wrote
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation.metrics import METRICS
@@ -21,7 +21,7 @@ _Flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True)
-class Train(Command):
+class Train(Command, Generic[A]):
     """Learn on the training half of a heap set, and write a run directory.
 
     Attributes:
@@ -42,7 +42,7 @@ class Train(Command):
     seed: int
     schedule: Annotated[Schedule, _Flat]
     task: Annotated[TaskConfig, _Flat]
-    algorithm: Annotated[Any, _Flat]
+    algorithm: Annotated[A, _Flat]
     objects: str = ""
     resume: tyro.conf.Suppress[bool] = False
 
@@ -77,20 +77,10 @@ class Train(Command):
     @classmethod
     def _parsed(cls, default: Self, program: str, words: Sequence[str]) -> Self:
         """Return options, those of the default's own algorithm among them."""
-        kind = dataclass(frozen=True)(
-            type(
-                cls.__name__,
-                (cls,),
-                {
-                    "__doc__": cls.__doc__,
-                    "__annotations__": {
-                        "algorithm": Annotated[type(default.algorithm), _Flat],
-                    },
-                },
-            )
-        )
-        values = {name: getattr(default, name) for name in cls.__dataclass_fields__}
-        return tyro.cli(kind, prog=program, args=list(words), default=kind(**values))
+        generic: Any = Train
+        kind = generic[type(default.algorithm)]
+        options: Self = tyro.cli(kind, prog=program, args=list(words), default=default)
+        return options
 
     def run(self) -> None:
         """Train, with a progress bar that shows the last evaluation."""

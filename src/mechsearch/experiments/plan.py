@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.files import (
@@ -17,7 +18,8 @@ from mechsearch.files import (
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
-from mechsearch.training.config import SHIPPED_NETWORK, TrainConfig, preset_config
+from mechsearch.training.assemble import SHIPPED_NETWORK
+from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
 
 VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
@@ -100,12 +102,12 @@ class SweepPlan:
         number = self.generate_single if condition == "single" else self.generate_dual
         return GenerateConfig(condition, number, self.objects or "household")
 
-    def config(self, variant: str, seed: int) -> TrainConfig:
+    def config(self, variant: str, seed: int) -> RunConfig[Any]:
         """Return the configuration of one run."""
         grasped = self.grasps and variant in self.curve_grasps
-        return replace(
-            preset_config(variant),
-            seed=seed,
+        config = run_config(variant)
+        schedule = replace(
+            config.schedule,
             actions=self.actions,
             evaluate_every=self.curve_every,
             checkpoint_every=min(self.curve_every, 1000),
@@ -114,6 +116,7 @@ class SweepPlan:
             held_out_heaps=self.curve_heaps,
             grasp_network=(self.grasp_network or SHIPPED_NETWORK) if grasped else "",
         )
+        return replace(config, seed=seed, schedule=schedule)
 
 
 QUICK = SweepPlan(

@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.policies import LOOK_AHEAD
@@ -24,8 +25,8 @@ from mechsearch.files.layout import (
     METRICS_FILE,
     POLICY_FILE,
 )
-from mechsearch.training.config import TrainConfig, load_config
-from mechsearch.training.trained import load_policy
+from mechsearch.training.config import load_config
+from mechsearch.training.policies import load_policy
 from mechsearch.training.trial import TrialInputs, run_trial
 from mechsearch.types import MechSearchError
 
@@ -59,8 +60,8 @@ class Training(Job):
     def cost(self) -> float:
         """Actions and updates, or pushes tried and fits; and the points of the curve."""
         points = 1 + self.plan.actions // self.plan.curve_every
-        action = 0.3 if self.config.pushes.networks else 0.065
-        episode = 0.35 + 0.3 * bool(self.config.grasp_network)
+        action = 0.3 if self.variant == "plus" else 0.065
+        episode = 0.35 + 0.3 * bool(self.config.schedule.grasp_network)
         return action * self.plan.actions + episode * self.plan.curve_heaps * points
 
     @property
@@ -69,7 +70,7 @@ class Training(Job):
         return self.folder.run(self.condition, self.variant, self.seed)
 
     @property
-    def config(self) -> TrainConfig:
+    def config(self) -> RunConfig[Any]:
         """Its configuration."""
         return self.plan.config(self.variant, self.seed)
 

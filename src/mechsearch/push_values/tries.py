@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.push_values.value import Outcome
+from mechsearch.push_values.value import PushOutcome
 from mechsearch.pushes import Push, PushFollower, Sight
 from mechsearch.types import TEACHER_KEYS, Array, Observation
 
@@ -43,11 +43,11 @@ class Course:
             self.terms[name] = self.terms.get(name, 0.0) + value
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> PushOutcome | None:
         """What is learnt from it; nothing where the episode was cut off or the simulator failed."""
         if not self.actions or self.end not in (None, "uncovered", "lost"):
             return None
-        return Outcome(
+        return PushOutcome(
             self.reward - self.terms["idleness"],
             self.actions,
             self.end == "uncovered",

@@ -13,4 +13,9 @@ def make_teachers(direction: float | None = None) -> dict[str, Teacher]:
     return {name: kind(direction) for name, kind in TEACHERS.items()}
 
 
+def make_teacher(name: str) -> Teacher:
+    """TEMPORARY."""
+    return TEACHERS[name]()
+
+
 __all__ = ["TEACHERS", "PushConfig", "Teacher", "make_teachers"]

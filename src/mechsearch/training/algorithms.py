@@ -1,7 +1,7 @@
 """All algorithms by name; one of a user's own is named `package.module:factory`."""
 
 from dataclasses import is_dataclass
-from typing import Any
+from typing import Any, cast
 
 from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.algorithm import Algorithm
@@ -28,14 +28,14 @@ def make_algorithm(spec: str) -> Algorithm:
         MechSearchError: If there is no such algorithm, or it lacks something.
     """
     if spec in ALGORITHMS:
-        made: Any = ALGORITHMS[spec]()
-        return made
+        built_in: Algorithm = ALGORITHMS[spec]()
+        return built_in
     if not is_entry_point(spec):
         raise MechSearchError(
             f"unknown algorithm {spec!r}; choose one of {', '.join(ALGORITHMS)}, or "
             "package.module:factory"
         )
-    made = load_entry_point(spec, "algorithm")()
+    made: Any = load_entry_point(spec, "algorithm")()
     missing = [name for name in _NEEDED if not hasattr(made, name)]
     if missing or not is_dataclass(made):
         raise MechSearchError(
@@ -43,7 +43,7 @@ def make_algorithm(spec: str) -> Algorithm:
             f"{'lacks ' + ', '.join(missing) if missing else 'is no dataclass'}; an algorithm is a "
             f"frozen dataclass of its options with {', '.join(_NEEDED)}"
         )
-    return made
+    return cast(Algorithm, made)
 
 
 def name_of(algorithm: Algorithm) -> str:

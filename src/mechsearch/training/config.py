@@ -88,7 +88,7 @@ def config_from_json(found: Mapping[str, Any]) -> Run:
     if "algorithm" not in found:
         return _of_earlier_version(found)
     options = dict(found["algorithm"])
-    kind = type(make_algorithm(str(options.pop("kind", ""))))
+    kind: type[Any] = type(make_algorithm(str(options.pop("kind", ""))))
     return RunConfig(
         str(found["name"]),
         record_from_json(kind, options),
@@ -104,6 +104,10 @@ _RETIRED = {"horizon": 1, "target_action": "actor", "pessimism": 0.0, "bfloat16"
 
 def _of_earlier_version(found: Mapping[str, Any]) -> Run:
     """Return a configuration that stood flat in its file, with the options of both algorithms."""
+    parts = (ActorCritic, TaskConfig, Schedule)
+    known = {"name", "seed", "pushes", *(f.name for kind in parts for f in fields(kind))}
+    if unknown := sorted(set(found) - known):
+        raise MechSearchError(f"a configuration without an algorithm has no {', '.join(unknown)}")
     pushes = dict(found.get("pushes", {"networks": 0}))
     made: ActorCritic | PushValues
     if pushes["networks"]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mechsearch.algorithm import RunConfig, TrainingSetup
+from mechsearch.algorithm import RunConfig, Session, TrainingSetup
 from mechsearch.processes import Progress, silent
 from mechsearch.training.log import RunLog
 from mechsearch.training.policies import trained
@@ -32,7 +32,7 @@ def train(
         MechSearchError: If the directory holds another run, or a part does not fit.
     """
     schedule, files = config.schedule, RunDirectory(directory)
-    session = config.algorithm.begin(config, setup, directory)
+    session: Session = config.algorithm.begin(config, setup, directory)
     checkpoint = files.open(config, resume)
     begun = int(checkpoint.meta["step"]) if checkpoint else 0
     if checkpoint:

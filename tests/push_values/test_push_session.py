@@ -2,13 +2,14 @@ import errno
 import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 
-from mechsearch.actor_critic.collector import Parts
+from mechsearch.algorithm import TrainingSetup
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.files import (
     read_lines,
@@ -16,27 +17,30 @@ from mechsearch.files import (
 from mechsearch.files import (
     tensors as weights,
 )
-from mechsearch.push_values.policy import PushPolicyConfig
-from mechsearch.push_values.session import PushSession, load_episode
+from mechsearch.push_values.session import PushValuesSession, load_episode
 from mechsearch.push_values.tries import Trials, carry_out
 from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes import draw_pushes, look
 from mechsearch.report import curves
-from mechsearch.training.config import PushLearningConfig, preset_config
-from mechsearch.training.push_loop import learn_pushes
-from mechsearch.training.trained import load_policy
+from mechsearch.training.config import run_config
+from mechsearch.training.loop import train
+from mechsearch.training.policies import load_policy
 from mechsearch.types import MechSearchError
+from tests.runs import changed
 
 
 @pytest.fixture(scope="module")
 def plus():
-    pushes = PushLearningConfig(
+    return changed(
+        run_config("plus"),
+        actions=60,
+        evaluate_every=20,
+        checkpoint_every=20,
         networks=2,
         tries=3,
+        candidates=12,
         value=PushValueConfig(filters=4, hidden=(16, 8), batch=16, epochs=2),
-        policy=PushPolicyConfig(candidates=12),
     )
-    return replace(preset_config("plus"), actions=60, evaluate_every=20, pushes=pushes)
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +57,9 @@ def make_parts(make_env):
     def make():
         def evaluate(policy):
             policy.reset(np.random.default_rng(0))
-            return {"networks": float(len(policy.networks))}
+            return {"networks": float(len(getattr(policy, "policy", policy).networks))}
 
-        return Parts(make_env(), range(2), {}, {"validation": evaluate})
+        return TrainingSetup(make_env(), range(2), {}, {"validation": evaluate})
 
     return make
 
@@ -64,7 +68,12 @@ def make_parts(make_env):
 def whole(plus, make_parts, tmp_path_factory):
     """A run that was never interrupted, and its last scores."""
     run = tmp_path_factory.mktemp("plus") / "whole"
-    return run, learn_pushes(plus, make_parts(), run)
+    return run, train(plus, make_parts(), run)
+
+
+def begun(config, make_env):
+    """Return a session at its beginning, whose episodes are not written."""
+    return PushValuesSession(config, TrainingSetup(make_env(), range(2), {}, {}), Path("nowhere"))
 
 
 def lines(run, kind):
@@ -106,9 +115,9 @@ def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(plus
     assert [fit["step"] for fit in fits] == [20, 40, 60]
     assert fits[-1]["simulated"] > fits[-1]["executed"]
     assert all(record["return"] <= -0.5 * record["actions"] + 25 for record in episodes)
-    policy = load_policy(run)
-    assert policy.training_actions == episodes[-1]["executed"]
-    assert policy.networks[0].config == plus.pushes.value
+    loaded = load_policy(run)
+    assert loaded.training_actions == episodes[-1]["executed"]
+    assert loaded.policy.networks[0].config == plus.algorithm.value
 
 
 def test_everything_seen_is_kept_and_fitted(whole):
@@ -143,8 +152,8 @@ def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, whole, make
             raise Killed
 
     with pytest.raises(Killed):
-        learn_pushes(plus, make_parts(), tmp_path, progress=kill)
-    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+        train(plus, make_parts(), tmp_path, progress=kill)
+    train(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
@@ -159,18 +168,18 @@ def test_a_disk_that_is_full_is_told_by_the_episodes_file_and_costs_nothing(
     with monkeypatch.context() as disk:
         disk.setattr(weights, "save_file", full)
         with pytest.raises(MechSearchError, match=r"cannot write .*pushes/000002.*free some space"):
-            learn_pushes(plus, make_parts(), tmp_path)
+            train(plus, make_parts(), tmp_path)
     assert not list(tmp_path.rglob("*.partial*"))
-    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+    train(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
 def test_a_run_that_is_made_longer_is_the_run_that_was_longer_from_the_start(
     plus, whole, make_parts, tmp_path
 ):
-    learn_pushes(replace(plus, actions=40), make_parts(), tmp_path)
+    train(changed(plus, actions=40), make_parts(), tmp_path)
     assert [fit["step"] for fit in lines(tmp_path, "fit")] == [20, 40]
-    learn_pushes(plus, make_parts(), tmp_path, resume=True)
+    train(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
@@ -181,19 +190,19 @@ def test_an_episode_that_was_damaged_is_named_when_a_run_goes_on(plus, whole, ma
     content[-9] ^= 1
     file.write_bytes(bytes(content))
     with pytest.raises(MechSearchError, match=r"pushes/000001.safetensors is damaged"):
-        learn_pushes(replace(plus, actions=80), make_parts(), tmp_path / "run", resume=True)
+        train(changed(plus, actions=80), make_parts(), tmp_path / "run", resume=True)
 
 
 def test_an_episode_over_several_fits_leaves_none_out(plus, make_parts, tmp_path):
-    often = replace(plus, actions=12, evaluate_every=4)
-    learn_pushes(often, make_parts(), tmp_path)
+    often = changed(plus, actions=12, evaluate_every=4)
+    train(often, make_parts(), tmp_path)
     assert [fit["step"] for fit in lines(tmp_path, "fit")] == [4, 8, 12]
     assert [score["step"] for score in lines(tmp_path, "validation")] == [4, 8, 12]
 
 
 def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
-    explorer = replace(plus, pushes=replace(plus.pushes, explore=0.0, ranked=1.0))
-    session = PushSession(explorer, make_env(), range(2))
+    explorer = changed(plus, explore=0.0, ranked=1.0)
+    session = begun(explorer, make_env)
     session.remember(session.episode())
     session.fit()
     env = session._env
@@ -209,8 +218,7 @@ def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
 
 def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(plus, make_env):
     def executed(explore):
-        alone = replace(plus.pushes, tries=1, explore=explore)
-        session = PushSession(replace(plus, pushes=alone), make_env(), range(2))
+        session = begun(changed(plus, tries=1, explore=explore), make_env)
         session.remember(session.episode())
         session.fit()
         obs, _ = session._env.reset(seed=1, options={"heap": 0})
@@ -226,11 +234,11 @@ def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(pl
 
 def test_more_tries_than_candidates_are_refused(plus):
     with pytest.raises(MechSearchError, match="tries is 13, but 12 candidates"):
-        replace(plus.pushes, tries=13)
+        changed(plus, tries=13)
 
 
 def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
-    session = PushSession(plus, make_env(), range(2))
+    session = begun(plus, make_env)
     session.remember(session.episode())
     occlusion = torch.rand(80)
     session._followed = [torch.stack([occlusion, -3 - 5 * occlusion], dim=1)]
@@ -242,5 +250,5 @@ def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
 def test_pushes_are_learnt_in_heaps_only(plus, make_parts, tmp_path):
     parts = replace(make_parts(), env=object())
     with pytest.raises(MechSearchError, match="learnt in heaps, not in a object"):
-        learn_pushes(plus, parts, tmp_path)
+        train(plus, parts, tmp_path)
     assert not any(tmp_path.iterdir())
