@@ -6,7 +6,7 @@ import torch
 
 from mechsearch.push_values.value import (
     Ahead,
-    Outcome,
+    PushOutcome,
     PushSamples,
     PushValue,
     PushValueConfig,
@@ -38,7 +38,7 @@ def samples(count, seed=0, straight=1.0):
         np.zeros((count, *PATCH), np.float16), numbers, np.full(count, 10, np.float32)
     )
     good = numbers[:, 1] > 0
-    outcomes = [Outcome(4.0 if g else -4.0, 10, bool(g), 0.0 if g else 0.8, 0.0) for g in good]
+    outcomes = [PushOutcome(4.0 if g else -4.0, 10, bool(g), 0.0 if g else 0.8, 0.0) for g in good]
     return PushSamples.of(views, outcomes), good
 
 
@@ -48,7 +48,7 @@ def test_targets_are_reward_less_moved_clutter_success_occlusion_and_surplus_act
         np.array([8], np.float32),
     )  # fmt: skip
     found = targets(
-        PushSamples.of(views, [Outcome(2.5, 13, True, 0.1, 0.05)]),
+        PushSamples.of(views, [PushOutcome(2.5, 13, True, 0.1, 0.05)]),
         PushValueConfig(gentleness=30),
     )
     np.testing.assert_allclose(found, [[(2.5 - 30 * 0.05) / 5, 1.0, 0.1, (13 - 8) / 5]], rtol=1e-6)

@@ -10,6 +10,7 @@ from safetensors.torch import save_file
 
 from mechsearch.actor_critic.collector import Parts
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.trial import Rollout
 from mechsearch.files import (
     read_lines,
 )
@@ -17,10 +18,9 @@ from mechsearch.files import (
     tensors as weights,
 )
 from mechsearch.push_values.policy import PushPolicyConfig
-from mechsearch.push_values.session import PushSession, load_episode
-from mechsearch.push_values.tries import Trials, carry_out
-from mechsearch.push_values.value import PushValueConfig
-from mechsearch.pushes import draw_pushes, look
+from mechsearch.push_values.session import PushSession, load_episode, outcome_of
+from mechsearch.push_values.value import PushOutcome, PushValueConfig
+from mechsearch.pushes import draw_pushes
 from mechsearch.report import curves
 from mechsearch.train.config import PushLearningConfig, preset_config
 from mechsearch.train.push_loop import learn_pushes
@@ -71,30 +71,16 @@ def lines(run, kind):
     return [record for record in read_lines(run / "metrics.jsonl") if record["kind"] == kind]
 
 
-def test_a_push_tried_from_a_snapshot_goes_as_it_goes_when_executed(make_env):
-    """The trial sees no images; its outcome is the executed one's to the last bit."""
-    env = make_env()
-    obs, _ = env.reset(seed=1, options={"heap": 0})
-    sight = look(obs, env._observer.camera)
-    for push in draw_pushes(4, np.random.default_rng(2)):
-        snapshot = env.snapshot()
-        tried = Trials(env).attempt(snapshot, push, sight)
-        executed = carry_out(env, env.restore(snapshot), push, sight)
-        assert tried.outcome == executed.outcome
-        assert tried.outcome is not None
-        env.restore(snapshot)
-
-
-def test_a_trial_is_not_cut_off_by_the_episodes_length_and_an_executed_push_is(make_env):
-    env = make_env()
-    obs, _ = env.reset(seed=1, options={"heap": 0})
-    sight = look(obs, env._observer.camera)
-    for _ in range(19):
-        obs, *_ = env.step(np.zeros(3, np.float32))
-    push, snapshot = draw_pushes(1, np.random.default_rng(2))[0], env.snapshot()
-    assert Trials(env).attempt(snapshot, push, sight).outcome is not None
-    cut = carry_out(env, obs, push, sight)
-    assert (cut.end, cut.actions, cut.outcome) == ("action limit", 1, None)
+def test_a_pushs_outcome_is_its_reward_without_idleness_and_nothing_if_it_was_cut_off():
+    terms, some = {"idleness": -1.0, "uncovering": 3.0}, [np.zeros(3, np.float32)] * 2
+    lost = Rollout({}, some, 2.0, terms, 0.1, "lost", 1.0)
+    assert outcome_of(lost) == PushOutcome(3.0, 2, False, 1.0, 0.1)
+    over = outcome_of(replace(lost, end="uncovered", occlusion=0.01))
+    assert over == PushOutcome(3.0, 2, True, 0.01, 0.1)
+    assert outcome_of(replace(lost, end=None)) is not None
+    for end in ("action limit", "failure: unstable"):
+        assert outcome_of(replace(lost, end=end)) is None
+    assert outcome_of(Rollout({})) is None
 
 
 def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(plus, whole):

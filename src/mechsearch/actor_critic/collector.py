@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mechsearch.actor_critic.behaviour import Behaviour
 from mechsearch.actor_critic.exploration import Noise
 from mechsearch.actor_critic.guidance import Guidance
+from mechsearch.teachers import Teacher
 from mechsearch.train.config import TrainConfig
 from mechsearch.types import Array, Observation, Policy, select
 
@@ -39,16 +40,6 @@ class Env(Protocol):
         """Go on from a snapshot, bit by bit; return its observation."""
 
 
-class Guide(Policy, Protocol):
-    """A policy that can be kept in the middle of an episode."""
-
-    def state(self) -> dict[str, Any]:
-        """Return all that its next actions depend on besides what it sees, as JSON."""
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take back what `state` returned."""
-
-
 @dataclass(frozen=True)
 class Parts:
     """What a run is given, ready-made.
@@ -62,7 +53,7 @@ class Parts:
 
     env: Env
     heaps: Sequence[int]
-    teachers: Mapping[str, Guide]
+    teachers: Mapping[str, Teacher]
     evaluators: Mapping[str, Evaluator]
 
 

@@ -9,8 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mechsearch.files.tensors import fill, part, prefixed
-from mechsearch.pushes import NUMBERS, PATCH, PushViews
-from mechsearch.pushes.view import MIRRORED_NUMBERS, STRAIGHT_NUMBER
+from mechsearch.pushes import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
 from mechsearch.types import MechSearchError
 
 _REWARD, _ACTIONS = 5.0, 5.0
@@ -55,7 +54,7 @@ class PushValueConfig:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PushOutcome:
     """What a push brought.
 
     Attributes:
@@ -102,7 +101,7 @@ class PushSamples:
     outcomes: Tensor
 
     @classmethod
-    def of(cls, views: PushViews, outcomes: Sequence[Outcome]) -> "PushSamples":
+    def of(cls, views: PushViews, outcomes: Sequence[PushOutcome]) -> "PushSamples":
         """Return n pushes seen from one observation, with their outcomes."""
         rows = [(o.reward, o.actions, o.uncovered, o.occlusion, o.clutter_moved) for o in outcomes]
         return cls(

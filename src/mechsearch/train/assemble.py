@@ -13,7 +13,7 @@ from mechsearch.grasp.network import load_network
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import make_teacher
 from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig
 from mechsearch.train.graspability import GraspabilityChange
 from mechsearch.types import MechSearchError, Policy
@@ -71,7 +71,6 @@ def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Part
             f"{len(training)} training heaps, of which {len(validation)} are kept for validation, "
             "leave none to learn on"
         )
-    teachers = make_teachers()
     task = HeapEnvConfig(keys=config.actor_keys, camera=config.camera, image_size=config.image_size)
     env = HeapEnv(heap_set.heaps, objects, replace(task, privileged=True))
     quiet = HeapEnv(heap_set.heaps, objects, task)
@@ -81,7 +80,7 @@ def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Part
     if watched:
         grasped = _grasped(config, objects)
         evaluators["held_out"] = HeapEvaluator(quiet, tuple(watched), True, grasped)
-    return Parts(env, learnt, {name: teachers[name] for name in config.teachers}, evaluators)
+    return Parts(env, learnt, {name: make_teacher(name) for name in config.teachers}, evaluators)
 
 
 def _grasped(config: TrainConfig, objects: ObjectSet) -> GraspabilityChange | None:

@@ -15,7 +15,7 @@ from mechsearch.files import (
 )
 from mechsearch.push_values.policy import PushPolicyConfig
 from mechsearch.push_values.value import PushValueConfig
-from mechsearch.teachers import TEACHERS
+from mechsearch.teachers import PAPER_TEACHERS, check_teacher
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
 PURPOSE = "training configuration"
@@ -73,7 +73,8 @@ class TrainConfig:
         actions: Actions executed while learning (paper: 8,000).
         actor_keys: What the actor sees.
         critic_keys: What the critic sees; the actor's keys make it symmetric.
-        teachers: Who guides, of "straight", "zigzag" and "spiral"; empty is unguided.
+        teachers: Who guides: names of `teachers.TEACHERS`, or `package.module:factory`; empty is
+            unguided.
         imitated: Those of the teachers whose actions the actor is drawn to; empty is all.
         updates_per_action: Gradient steps for each action.
         block: Actions executed between two looks at the networks, which learn meanwhile.
@@ -100,7 +101,7 @@ class TrainConfig:
     actions: int = 8000
     actor_keys: tuple[str, ...] = ACTOR_KEYS
     critic_keys: tuple[str, ...] = CRITIC_KEYS
-    teachers: tuple[str, ...] = tuple(TEACHERS)
+    teachers: tuple[str, ...] = PAPER_TEACHERS
     imitated: tuple[str, ...] = ()
     updates_per_action: float = 1.0
     block: int = 4
@@ -137,11 +138,8 @@ class TrainConfig:
         self._check_pushes()
 
     def _check_roles(self) -> None:
-        unknown = [name for name in self.teachers if name not in TEACHERS]
-        if unknown:
-            raise MechSearchError(
-                f"unknown teacher {unknown[0]!r}; choose among {', '.join(TEACHERS)}"
-            )
+        for name in self.teachers:
+            check_teacher(name)
         strangers = [name for name in self.imitated if name not in self.teachers]
         if strangers:
             raise MechSearchError(
