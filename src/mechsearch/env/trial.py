@@ -5,7 +5,6 @@ Trials run on a copy of the environment's world that renders no images, from its
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +35,6 @@ class Rollout:
     end: str | None = None
     occlusion: float = 1.0
 
-    def add(self, action: Array, obs: Observation, reward: float, info: dict[str, Any]) -> None:
-        """Note one action and what followed it."""
-        self.obs, self.end, self.occlusion = obs, info["end"], float(info["occlusion"])
-        self.actions.append(action)
-        self.reward += reward
-        self.clutter_moved += info["clutter_moved"]
-        for name, value in info["reward_terms"].items():
-            self.terms[name] = self.terms.get(name, 0.0) + value
-
 
 def roll_out(
     env: HeapEnv,
@@ -62,10 +52,14 @@ def roll_out(
     """
     rollout = Rollout(obs)
     while rollout.end is None and (action := propose(rollout.obs)) is not None:
-        after, reward, _, _, info = env.step(action)
-        rollout.add(action, after, float(reward), info)
-        if is_hopeless(rollout):
-            rollout.end = "given up"
+        rollout.obs, reward, _, _, info = env.step(action)
+        rollout.actions.append(action)
+        rollout.reward += reward
+        for name, value in info["reward_terms"].items():
+            rollout.terms[name] = rollout.terms.get(name, 0.0) + value
+        rollout.clutter_moved += info["clutter_moved"]
+        rollout.occlusion = info["occlusion"]
+        rollout.end = "given up" if is_hopeless(rollout) else info["end"]
     return rollout
 
 

@@ -64,9 +64,9 @@ def make_policy(spec: str) -> Policy:
     """Return the policy that a text names.
 
     Args:
-        spec: "random", "idle", "teacher-straight", "teacher-zigzag", "teacher-spiral" or
-            "look-ahead"; "single" or "dual", the trained policies that are shipped; a run
-            directory, whose last policy is meant, or one policy's file (.safetensors); or
+        spec: "random", "idle", "look-ahead", or "teacher-" and a name in `teachers.TEACHERS`;
+            "single" or "dual", the trained policies that are shipped; a run directory, whose last
+            policy is meant, or one policy's file (.safetensors); or
             `package.module:factory`, a function without arguments, or a class, that returns a
             `mechsearch.types.Policy`.
 

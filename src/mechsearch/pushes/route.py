@@ -70,9 +70,8 @@ class Route:
         """
         config = self.config
         height = np.clip(target[2] + config.clearance, config.lowest, _HIGHEST_PUSH)
-        points = np.column_stack([path, np.full(len(path), height)])
-        bound = np.array([config.half, config.half, config.highest])
-        self.push = np.clip(points, [-config.half, -config.half, config.lowest], bound)
+        within = np.clip(path, -config.half, config.half)
+        self.push = np.column_stack([within, np.full(len(path), height)])
         self._approach(ee, target, others)
 
     def next(self, ee: Floats, target: Floats, others: Floats) -> NDArray[np.float32] | None:
@@ -142,12 +141,9 @@ class Route:
     def _is_clear(self, start: Floats, end: Floats, objects: Floats) -> bool:
         """Return whether a straight motion passes beside or above all objects (N, 3)."""
         span = end - start
-        length = float(span @ span)
-        along = (
-            np.clip((objects - start) @ span / length, 0, 1)
-            if length > 0
-            else np.zeros(len(objects))
-        )
+        # No motion has no length to divide by; all that lies along it is its start.
+        length = max(float(span @ span), np.finfo(float).tiny)
+        along = np.clip((objects - start) @ span / length, 0, 1)
         nearest = start + along[:, None] * span
         beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > self.config.beside
         above = nearest[:, 2] > objects[:, 2] + self.config.above
