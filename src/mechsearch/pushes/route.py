@@ -70,8 +70,8 @@ class Route:
         """
         config = self.config
         height = np.clip(target[2] + config.clearance, config.lowest, _HIGHEST_PUSH)
-        within = np.clip(path, -config.half, config.half)
-        self.push = np.column_stack([within, np.full(len(path), height)])
+        self.push = np.full((len(path), 3), height)
+        self.push[:, :2] = np.clip(path, -config.half, config.half)
         self._approach(ee, target, others)
 
     def next(self, ee: Floats, target: Floats, others: Floats) -> NDArray[np.float32] | None:
@@ -111,7 +111,7 @@ class Route:
             if ee[2] < travel - 0.03 and not self._is_clear(ee, ee, objects):
                 way.append(np.array([ee[0], ee[1], travel]))
             way.append(np.array([start[0], start[1], travel]))
-        self._follow(np.vstack([*way, self.push]))
+        self._follow(np.vstack([*way, self.push]) if way else self.push)
 
     def _rejoin(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Approach again if something else has carried the end effector away from the way."""
