@@ -17,7 +17,7 @@ from mechsearch.actor_critic.learner import Learner
 from mechsearch.actor_critic.networks import Encoder, NetworkConfig
 from mechsearch.actor_critic.replay import Replay
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.train.config import TrainConfig, preset_config
+from mechsearch.training.config import TrainConfig, preset_config
 from mechsearch.types import ACTOR_KEYS, Array
 
 PEER = "DDPG of stable-baselines3 2.9, same towers, batch and keys"

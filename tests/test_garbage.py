@@ -23,8 +23,8 @@ from mechsearch.objects.masses import read_masses
 from mechsearch.objects.meshes.archive import model_from_npz
 from mechsearch.objects.meshes.mesh_file import read_pieces
 from mechsearch.push_values.session import load_episode
-from mechsearch.train.config import TrainConfig, load_config
-from mechsearch.train.trained import load_policy
+from mechsearch.training.config import TrainConfig, load_config
+from mechsearch.training.trained import load_policy
 from mechsearch.types import MechSearchError
 
 READERS = {

@@ -19,21 +19,23 @@ unit = st.floats(0, 1)
 
 
 def test_halving_the_occlusion_earns_half_of_two_and_a_half():
-    reward = terms(0.6, 0.3, np.array([0.04, 0.0]), 0.0, False, CONFIG)
-    assert reward.uncovering == pytest.approx(1.25)
-    assert reward.clutter_movement == 0.0
-    assert reward.total == pytest.approx(1.25 - 0.5)
+    reward = terms(0.6, 0.3, np.array([0.04, 0.0]), 0.0, False, 0.02, CONFIG)
+    assert reward["uncovering"] == pytest.approx(1.25)
+    assert reward["clutter_movement"] == 0.0
+    assert sum(reward.values()) == pytest.approx(1.25 - 0.5)
 
 
 def test_moving_clutter_without_uncovering_costs_75_a_mean_metre():
-    reward = terms(0.5, 0.5, np.array([0.02, 0.0, 0.01, 0.0]), 0.0, False, CONFIG)
-    assert reward.clutter_movement == pytest.approx(-75 / 4 * 0.03)
+    reward = terms(0.5, 0.5, np.array([0.02, 0.0, 0.01, 0.0]), 0.0, False, 0.02, CONFIG)
+    assert reward["clutter_movement"] == pytest.approx(-75 / 4 * 0.03)
 
 
 def test_a_gain_of_five_percent_excuses_and_a_smaller_one_does_not():
     moved = np.array([0.02])
-    assert terms(0.4, 0.38, moved, 0.0, False, CONFIG).clutter_movement == 0.0
-    assert terms(0.4, 0.381, moved, 0.0, False, CONFIG).clutter_movement == pytest.approx(-1.5)
+    assert terms(0.4, 0.38, moved, 0.0, False, 0.02, CONFIG)["clutter_movement"] == 0.0
+    assert terms(0.4, 0.381, moved, 0.0, False, 0.02, CONFIG)["clutter_movement"] == pytest.approx(
+        -1.5
+    )
 
 
 def test_limits_are_where_the_rules_say():
@@ -44,21 +46,21 @@ def test_limits_are_where_the_rules_say():
 
 
 def test_moving_the_target_is_never_excused():
-    reward = terms(0.4, 0.0, np.array([0.0]), 0.03, False, CONFIG)
-    assert reward.target_movement == pytest.approx(-2.25)
-    assert reward.uncovering == pytest.approx(2.5)
+    reward = terms(0.4, 0.0, np.array([0.0]), 0.03, False, 0.02, CONFIG)
+    assert reward["target_movement"] == pytest.approx(-2.25)
+    assert reward["uncovering"] == pytest.approx(2.5)
 
 
 def test_leaving_the_workspace_costs_half_a_point():
-    assert terms(0.4, 0.4, np.zeros(2), 0.0, True, CONFIG).workspace == -0.5
-    assert terms(0.4, 0.4, np.zeros(2), 0.0, False, CONFIG).workspace == 0.0
+    assert terms(0.4, 0.4, np.zeros(2), 0.0, True, 0.02, CONFIG)["workspace"] == -0.5
+    assert terms(0.4, 0.4, np.zeros(2), 0.0, False, 0.02, CONFIG)["workspace"] == 0.0
 
 
 def test_idleness_may_be_charged_only_when_nothing_moved():
     option = RewardConfig(idle_when="nothing moved")
-    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, option).idleness == 0.0
-    assert terms(0.4, 0.4, np.array([0.0005]), 0.0, False, option).idleness == -0.5
-    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, CONFIG).idleness == -0.5
+    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, 0.02, option)["idleness"] == 0.0
+    assert terms(0.4, 0.4, np.array([0.0005]), 0.0, False, 0.02, option)["idleness"] == -0.5
+    assert terms(0.4, 0.4, np.array([0.01]), 0.0, False, 0.02, CONFIG)["idleness"] == -0.5
 
 
 def test_the_gain_is_relative_above_the_least_occlusion_and_clipped():
@@ -68,12 +70,11 @@ def test_the_gain_is_relative_above_the_least_occlusion_and_clipped():
 
 
 @given(unit, unit, st.lists(st.floats(0, 0.1), min_size=1, max_size=14), st.floats(0, 0.1))
-def test_no_penalty_is_ever_positive_and_the_total_is_the_sum(before, after, clutter, target):
-    reward = terms(before, after, np.array(clutter), target, True, CONFIG)
-    penalties = (reward.clutter_movement, reward.target_movement, reward.workspace, reward.idleness)
-    assert all(p <= 0 for p in penalties)
-    assert -2.5 <= reward.uncovering <= 2.5
-    assert reward.total == pytest.approx(reward.uncovering + sum(penalties))
+def test_no_penalty_is_ever_positive_and_the_gain_is_bounded(before, after, clutter, target):
+    reward = terms(before, after, np.array(clutter), target, True, 0.02, CONFIG)
+    gained = reward.pop("uncovering")
+    assert all(p <= 0 for p in reward.values())
+    assert -2.5 <= gained <= 2.5
 
 
 @given(unit, unit)
@@ -86,3 +87,21 @@ def test_uncovering_and_covering_again_never_pays(before, between):
 def test_an_unknown_idleness_rule_is_named():
     with pytest.raises(MechSearchError, match="sometimes"):
         RewardConfig(idle_when="sometimes")
+
+
+def test_a_target_in_full_view_is_divided_by_nothing_where_only_full_view_counts():
+    assert uncovering_gain(0.0, 0.0, 0.0) == 0.0
+    assert uncovering_gain(0.0, 0.1, 0.0) == -1.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("movement", float("nan"), "reward.movement is nan; expected a finite number"),
+        ("workspace", float("inf"), "reward.workspace is inf; expected a finite number"),
+        ("function", "mine", "'mine'; expected 'paper' or package.module:function"),
+    ],
+)
+def test_what_is_no_weight_or_function_is_named(field, value, message):
+    with pytest.raises(MechSearchError, match=message):
+        RewardConfig(**{field: value})

@@ -69,7 +69,7 @@ def recomputed(scene, episode):
         leaves = info["reward_terms"]["workspace"] < 0
         clutter = np.delete(moved, target)
         pair = occlusions[i], occlusions[i + 1]
-        rewards.append(vars(terms(*pair, clutter, moved[target], leaves, config)))
+        rewards.append(terms(*pair, clutter, moved[target], leaves, 0.02, config))
     return np.array(occlusions), rewards
 
 

@@ -74,7 +74,7 @@ def trouble(tmp_path, monkeypatch):
 def make(covered, boxes):
     """Four alike heaps, episodes of four actions."""
     heaps = [replace(covered, seed=seed) for seed in SEEDS]
-    return partial(TroubledEnv, heaps, boxes, HeapEnvConfig(max_actions=4, uncovered_at=-1.0))
+    return partial(TroubledEnv, heaps, boxes, HeapEnvConfig(max_actions=4, uncovered_at=0.0))
 
 
 def actions(steps, envs, seed=0):

@@ -9,7 +9,7 @@ from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, Journal, Past
 from mechsearch.experiments.plan import QUICK, VARIANTS, SweepPlan, open_plan, read_plan
 from mechsearch.experiments.schedule import chains_of, next_wave
 from mechsearch.experiments.status import status
-from mechsearch.train.config import preset_config
+from mechsearch.training.config import preset_config
 from mechsearch.types import MechSearchError
 
 

@@ -5,8 +5,8 @@ import pytest
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.experiments.curves import write_curves
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.train.config import preset_config, save_config
-from mechsearch.train.log import RunLog
+from mechsearch.training.config import preset_config, save_config
+from mechsearch.training.log import RunLog
 
 
 @pytest.mark.parametrize("more", [(), ("graspability_change",)])

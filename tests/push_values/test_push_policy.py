@@ -11,7 +11,7 @@ from mechsearch.evaluation.rollout import run_episode
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig, load_push_policy
 from mechsearch.push_values.value import Ahead, PushValue, PushValueConfig
 from mechsearch.pushes import draw_pushes, look
-from mechsearch.train.trained import load_policy, save_policy
+from mechsearch.training.trained import load_policy, save_policy
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 SMALL = PushValueConfig(filters=4, hidden=(16, 8))

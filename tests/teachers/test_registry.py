@@ -35,7 +35,7 @@ WHAT_NAMES_TEACHERS = """
 from mechsearch.evaluation.look_ahead import SHAPES
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.report.claims import GOALS, PAPER
-from mechsearch.train.config import PRESETS
+from mechsearch.training.config import PRESETS
 
 print([shape.__name__ for shape in SHAPES], SweepPlan(), PAPER, GOALS, PRESETS)
 """

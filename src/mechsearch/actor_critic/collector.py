@@ -1,60 +1,17 @@
 """Acts in the environment: actor and teachers propose, the critic chooses, the world answers."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.actor_critic.behaviour import Behaviour
 from mechsearch.actor_critic.exploration import Noise
 from mechsearch.actor_critic.guidance import Guidance
-from mechsearch.teachers import Teacher
-from mechsearch.train.config import TrainConfig
-from mechsearch.types import Array, Observation, Policy, select
-
-Evaluator = Callable[[Policy], Mapping[str, float]]
-
-
-class Env(Protocol):
-    """What a run needs of a task: Gymnasium's episodes, which can be kept and gone on with."""
-
-    @property
-    def observation_space(self) -> gymnasium.Space[Any]:
-        """A dictionary of boxes."""
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Begin an episode on the heap that `options` names."""
-
-    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Execute one action."""
-
-    def snapshot(self) -> dict[str, Array]:
-        """Return all that the rest of the episode depends on."""
-
-    def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
-        """Go on from a snapshot, bit by bit; return its observation."""
-
-
-@dataclass(frozen=True)
-class Parts:
-    """What a run is given, ready-made.
-
-    Attributes:
-        env: The task, with privileged observations.
-        heaps: Indices of the heaps to learn on.
-        teachers: Who guides, by name.
-        evaluators: Score a policy on heaps of their own, by name of these heaps.
-    """
-
-    env: Env
-    heaps: Sequence[int]
-    teachers: Mapping[str, Teacher]
-    evaluators: Mapping[str, Evaluator]
+from mechsearch.algorithm import TrainingSetup
+from mechsearch.types import Array, Observation, select
 
 
 @dataclass(frozen=True)
@@ -109,24 +66,25 @@ class Collector:
 
     def __init__(
         self,
-        config: TrainConfig,
-        parts: Parts,
+        guidance: Guidance,
+        noise: Noise,
+        setup: TrainingSetup,
         behaviour: Behaviour,
         rngs: Mapping[str, np.random.Generator],
     ) -> None:
         """Take what acts.
 
         Args:
-            config: The run.
-            parts: Environment and teachers.
+            guidance: The choice among actor and teachers.
+            noise: Exploration of the actor.
+            setup: Environment and teachers.
             behaviour: Copies of actor and critic.
             rngs: Generators of "episodes" and of "exploration".
         """
-        self._parts = parts
+        self._setup = setup
         self._behaviour = behaviour
         self._rngs = rngs
-        self._guidance = Guidance(config.guidance)
-        self._noise = Noise(config.noise)
+        self._guidance, self._noise = guidance, noise
         self._heap = -1
         self._obs: Observation | None = None
 
@@ -136,7 +94,7 @@ class Collector:
         while len(done) < count and not (done and done[-1].over):
             obs = self._begin() if self._obs is None else self._obs
             decision = self._decide(obs)
-            after, reward, terminated, truncated, info = self._parts.env.step(decision.action)
+            after, reward, terminated, truncated, info = self._setup.env.step(decision.action)
             done.append(
                 Transition(self._heap, obs, decision, after, reward, terminated, truncated, info)
             )
@@ -147,9 +105,9 @@ class Collector:
         """Return the episode that goes on, as arrays and JSON, for `restore`; None between two."""
         if self._obs is None:
             return {}, None
-        arrays = {f"env/{name}": value for name, value in self._parts.env.snapshot().items()}
+        arrays = {f"env/{name}": value for name, value in self._setup.env.snapshot().items()}
         arrays |= {f"obs/{key}": value for key, value in self._obs.items()}
-        teachers = {name: teacher.state() for name, teacher in self._parts.teachers.items()}
+        teachers = {name: teacher.state() for name, teacher in self._setup.teachers.items()}
         return arrays, {
             "heap": self._heap,
             "guidance": self._guidance.state(),
@@ -164,25 +122,25 @@ class Collector:
         self._heap = facts["heap"]
         self._guidance.restore(facts["guidance"])
         self._noise.restore(facts["noise"])
-        for name, teacher in self._parts.teachers.items():
+        for name, teacher in self._setup.teachers.items():
             teacher.restore(facts["teachers"][name])
         kept: dict[str, dict[str, Array]] = {"env": {}, "obs": {}}
         for path, value in arrays.items():
             owner, _, name = path.partition("/")
             kept[owner][name] = value
-        self._parts.env.restore(kept["env"])
+        self._setup.env.restore(kept["env"])
         self._obs = kept["obs"]
 
     def _begin(self) -> Observation:
         """Begin an episode on a random heap; return its first observation."""
-        rng, teachers = self._rngs["episodes"], self._parts.teachers.values()
-        self._heap = int(rng.choice(self._parts.heaps))
+        rng, teachers = self._rngs["episodes"], self._setup.teachers.values()
+        self._heap = int(rng.choice(self._setup.heaps))
         env_seed, *seeds = (int(s) for s in rng.integers(2**31, size=1 + len(teachers)))
         for teacher, seed in zip(teachers, seeds, strict=True):
             teacher.reset(np.random.default_rng(seed))
         self._guidance.reset()
         self._noise.reset()
-        obs, _ = self._parts.env.reset(seed=env_seed, options={"heap": self._heap})
+        obs, _ = self._setup.env.reset(seed=env_seed, options={"heap": self._heap})
         return obs
 
     def _decide(self, obs: Observation) -> Decision:
@@ -190,7 +148,7 @@ class Collector:
         rng = self._rngs["exploration"]
         own = self._behaviour.act(obs)
         proposals = [self._noise.added(own, rng)]
-        proposals += [t.act(select(obs, t.keys)) for t in self._parts.teachers.values()]
+        proposals += [t.act(select(obs, t.keys)) for t in self._setup.teachers.values()]
         actions = np.stack(proposals).astype(np.float32)
         samples = self._behaviour.q_samples(obs, actions)
         choice = self._guidance.choose(samples, rng)

@@ -17,7 +17,6 @@ from mechsearch.files.tensors import fill, fill_optimizer, optimizer_tensors, pa
 from mechsearch.types import Array, MechSearchError
 
 Metrics = dict[str, float]
-TARGET_ACTIONS = ("actor", "recorded")
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,6 @@ class LearnerConfig:
         actor_tau: Likewise of the actor. Its target, a running average, is what is evaluated; in
             the beginning it is the mean of all actors so far.
         batch: Transitions an update.
-        horizon: Actions whose rewards are summed before the critic is asked (n-step returns).
         reward_scale: What multiplies rewards before the critic sees them.
         dropout: Share of the critic's hidden units dropped; 0 makes it an ordinary critic.
         samples: Dropout copies of the critic that choose an action (AC-Teach: 50).
@@ -48,10 +46,6 @@ class LearnerConfig:
         worst: Share of all that was done, that of the episodes of lowest return, which is not
             imitated.
         max_gradient: Gradients longer than this are shortened to it; 0 leaves them.
-        target_action: Whose action the Bellman target takes in the next state: the "actor"'s (as
-            the paper prints) or the one "recorded" there, which values the behaviour (AC-Teach's
-            behavioural target, for teachers that cannot be asked again).
-        pessimism: Standard deviations over the dropout copies that a target is lowered by.
         symmetry: Turn and mirror every batch at random (overhead camera only).
         mirrors: Whether symmetry mirrors too, or only turns: a teacher whose spirals have a hand
             is another one in a mirror.
@@ -64,7 +58,6 @@ class LearnerConfig:
     tau: float = 0.01
     actor_tau: float = 0.002
     batch: int = 64
-    horizon: int = 1
     reward_scale: float = 0.1
     dropout: float = 0.1
     samples: int = 50
@@ -76,8 +69,6 @@ class LearnerConfig:
     imitation: float = 3.0
     worst: float = 0.4
     max_gradient: float = 10.0
-    target_action: str = "actor"
-    pessimism: float = 0.0
     symmetry: bool = True
     mirrors: bool = True
     network: NetworkConfig = field(default_factory=lambda: NetworkConfig(directions=True))
@@ -86,26 +77,16 @@ class LearnerConfig:
         for name in ("actor_rate", "critic_rate", "alpha", "precision", "reward_scale"):
             if not getattr(self, name) > 0:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected more than 0")
-        for name in ("batch", "horizon", "samples", "update_samples"):
+        for name in ("batch", "samples", "update_samples"):
             if getattr(self, name) < 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least 1")
         for name in ("gamma", "tau", "actor_tau"):
             if not 0 < getattr(self, name) <= 1:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected (0, 1]")
-        if self.target_action not in TARGET_ACTIONS:
-            raise MechSearchError(
-                f"unknown target_action {self.target_action!r}; choose one of "
-                f"{', '.join(TARGET_ACTIONS)}"
-            )
         if self.imitation < 0 or not 0 <= self.worst < 1:
             raise MechSearchError(
                 f"imitation is {self.imitation} and worst {self.worst}; expected at least 0, and a "
                 "share below 1"
-            )
-        if self.pessimism < 0 or (self.pessimism and not self.dropout):
-            raise MechSearchError(
-                f"pessimism is {self.pessimism} with dropout {self.dropout}; expected at least 0, "
-                "and dropout with it"
             )
         if not 0 <= self.dropout < 1:
             raise MechSearchError(f"dropout is {self.dropout}; expected a share in [0, 1)")
@@ -120,8 +101,6 @@ class TensorBatch:
     reward: Tensor
     discount: Tensor
     next_obs: Tensors
-    next_action: Tensor
-    next_known: Tensor
     taught: Tensor
 
 
@@ -200,7 +179,7 @@ class Learner:
             beside: A thread for the actor's look at the batch: the critic's step changes nothing
                 in it, so neither need wait for the other.
         """
-        batch = self._tensors(replay.sample(self.config.batch, rng, self.config.horizon))
+        batch = self._tensors(replay.sample(self.config.batch, rng))
         looked = beside.submit(self.actor.raw, batch.obs) if beside else None
         metrics = self.update_critic(batch)
         metrics |= self.update_actor(batch, looked.result() if looked else None)
@@ -209,7 +188,7 @@ class Learner:
 
     def _tensors(self, batch: Batch) -> TensorBatch:
         now = {**_tensors(batch.obs), "action": torch.as_tensor(batch.action)}
-        after = {**_tensors(batch.next_obs), "action": torch.as_tensor(batch.next_action)}
+        after = _tensors(batch.next_obs)
         if self.config.symmetry:
             # One for the whole batch: turning each sample by itself costs a fifth of an update.
             symmetries = SYMMETRIES if self.config.mirrors else TURNS
@@ -222,8 +201,6 @@ class Learner:
             reward,
             torch.as_tensor(batch.discount),
             after,
-            after.pop("action"),
-            torch.as_tensor(batch.next_known),
             torch.as_tensor(batch.taught),
         )
 
@@ -231,16 +208,8 @@ class Learner:
         """Return r + discount * Q'(s', a') (B,), with the target networks."""
         with torch.no_grad():
             action = self.actor_target(batch.next_obs)
-            if self.config.target_action == "recorded":
-                action = torch.where(batch.next_known[:, None], batch.next_action, action)
-            return batch.reward + batch.discount * self._target_value(batch.next_obs, action)
-
-    def _target_value(self, obs: Tensors, action: Tensor) -> Tensor:
-        if not self.config.pessimism:
-            value: Tensor = self.critic_target(obs, action)
-            return value
-        samples: Tensor = self.critic_target(obs, action, self._masks(len(action)))
-        return samples.mean(dim=0) - self.config.pessimism * samples.std(dim=0)
+            value: Tensor = self.critic_target(batch.next_obs, action)
+            return batch.reward + batch.discount * value
 
     def update_critic(self, batch: TensorBatch) -> Metrics:
         """Take one step towards the Bellman target; return losses and Q."""

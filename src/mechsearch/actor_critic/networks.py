@@ -39,8 +39,6 @@ class NetworkConfig:
         depth_reference: Depth that the networks see as zero [m]: the table below the camera.
         depth_gain: What multiplies the height above that [1/m].
         offset_gain: What multiplies positions and offsets [1/m].
-        bfloat16: Compute training passes in bfloat16, except the last layer; faster only on
-            processors that multiply such matrices themselves.
         directions: An action is a direction, of full length: the actor's output is normalised
             instead of squashed by a tanh along each axis (paper).
         lengths: An action that is a direction has a length too, from a fifth to all of a step,
@@ -60,7 +58,6 @@ class NetworkConfig:
     depth_reference: float = 1.0
     depth_gain: float = 10.0
     offset_gain: float = 4.0
-    bfloat16: bool = False
     directions: bool = False
     lengths: bool = False
     centroid: bool = False
@@ -182,7 +179,7 @@ class Trunk(nn.Module):
         for i, (layer, norm) in enumerate(zip(self.layers, self.norms, strict=True)):
             x = torch.relu(norm(layer(x)))
             if masks:
-                x = x * masks[i].to(x.dtype)
+                x = x * masks[i]
         return x
 
 
@@ -212,9 +209,7 @@ class Actor(nn.Module):
 
     def raw(self, obs: Tensors) -> Tensor:
         """Return the last layer's output (B, 3 or 4), which `squash` makes an action."""
-        with torch.autocast("cpu", torch.bfloat16, self.config.bfloat16 and self.training):
-            hidden = self.trunk(self.encoder(obs))
-        out: Tensor = self.output(hidden.float())
+        out: Tensor = self.output(self.trunk(self.encoder(obs)))
         return out
 
     def squash(self, raw: Tensor) -> Tensor:
@@ -271,24 +266,17 @@ class Critic(nn.Module):
         words = torch.empty(-(-size // 8), dtype=torch.int64)
         words.random_(-(2**63), None, generator=generator)
         keep = words.view(torch.uint8)[:size].view(shape) <= self.kept - 1
-        kind = torch.bfloat16 if self._low_precision else torch.float32
-        return keep.to(kind).mul_(256 / self.kept)
-
-    @property
-    def _low_precision(self) -> bool:
-        return self.config.bfloat16 and self.training
+        return keep.float().mul_(256 / self.kept)
 
     def encode(self, obs: Tensors) -> Tensor:
         """Return features (B, width): all that comes before the action."""
-        with torch.autocast("cpu", torch.bfloat16, self._low_precision):
-            features: Tensor = self.encoder(obs)
+        features: Tensor = self.encoder(obs)
         return features
 
     def value(self, features: Tensor, action: Tensor, masks: Sequence[Tensor] = ()) -> Tensor:
         """Return Q (B,) of actions (B, 3), or K samples of it (K, B) under masks."""
-        with torch.autocast("cpu", torch.bfloat16, self._low_precision):
-            hidden = self.trunk(torch.cat([features.float(), action], dim=1), masks)
-        q: Tensor = self.output(hidden.float()).squeeze(-1)
+        hidden = self.trunk(torch.cat([features, action], dim=1), masks)
+        q: Tensor = self.output(hidden).squeeze(-1)
         return q
 
     def forward(self, obs: Tensors, action: Tensor, masks: Sequence[Tensor] = ()) -> Tensor:

@@ -18,11 +18,9 @@ class Batch:
     Attributes:
         obs: Observations by key, (B, *shape), as stored.
         action: Executed actions (B, 3) in [-1, 1].
-        reward: Sum of the discounted rewards until `next_obs` (B,).
+        reward: What the actions earned (B,).
         discount: What multiplies the value of `next_obs` (B,): 0 after a termination.
-        next_obs: Observations n actions later, or where the episode stopped before.
-        next_action: What was executed there (B, 3).
-        next_known: Whether anything was (B,): nothing is at an episode's end.
+        next_obs: Observations afterwards.
         taught: Whether a teacher acted, in an episode that went well (B,).
     """
 
@@ -31,8 +29,6 @@ class Batch:
     reward: NDArray[np.float32]
     discount: NDArray[np.float32]
     next_obs: dict[str, Array]
-    next_action: NDArray[np.float32]
-    next_known: NDArray[np.bool_]
     taught: NDArray[np.bool_]
 
 
@@ -137,13 +133,12 @@ class Replay:
         self._cursor = (row + 1) % self.capacity
         return row
 
-    def sample(self, size: int, rng: np.random.Generator, horizon: int = 1) -> Batch:
+    def sample(self, size: int, rng: np.random.Generator) -> Batch:
         """Draw transitions uniformly, with replacement.
 
         Args:
             size: Number of transitions B.
             rng: Source of randomness.
-            horizon: Actions whose rewards are summed (n-step returns).
 
         Raises:
             MechSearchError: If there is nothing to draw from.
@@ -152,27 +147,15 @@ class Replay:
         if not len(rows):
             raise MechSearchError("the replay holds no complete transition yet")
         start = rng.choice(rows, size)
-        reward, discount, last = self._look_ahead(start, horizon)
+        after = (start + 1) % self.capacity
         return Batch(
             {key: store[start] for key, store in self.obs.items()},
             self.action[start],
-            reward,
-            discount,
-            {key: store[last] for key, store in self.obs.items()},
-            self.action[last],
-            self.complete[last],
+            self.reward[start],
+            self.discount[start],
+            {key: store[after] for key, store in self.obs.items()},
             self.guided[start] & (self.outcome[start] >= self._good),
         )
-
-    def _look_ahead(self, start: Array, horizon: int) -> tuple[Array, Array, Array]:
-        reward, discount = np.zeros(len(start), np.float32), np.ones(len(start), np.float32)
-        row = start
-        for _ in range(horizon):
-            goes_on = self.complete[row]
-            reward = reward + np.where(goes_on, discount * self.reward[row], 0)
-            discount = np.where(goes_on, discount * self.discount[row], discount)
-            row = np.where(goes_on, (row + 1) % self.capacity, row)
-        return reward.astype(np.float32), discount.astype(np.float32), row
 
     def state(self) -> dict[str, Array]:
         """Return all that is stored, for a checkpoint; arrays are views."""

@@ -15,7 +15,7 @@ from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import PROCESSORS, Mapper, Progress, map_in_order
-from mechsearch.train.progress import progress_bars
+from mechsearch.training.progress import progress_bars
 from mechsearch.types import MechSearchError
 
 WORKERS = PROCESSORS

@@ -13,7 +13,7 @@ from mechsearch.evaluation.policies import policy_names
 from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.heaps.dataset import load
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.train.config import preset_config
+from mechsearch.training.config import preset_config
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.summary import rows_of
 from mechsearch.files import check_place, read_lines, read_record, write_json
 from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE, METRICS_FILE
-from mechsearch.train.trained import load_policy, save_policy
+from mechsearch.training.trained import load_policy, save_policy
 from mechsearch.types import MechSearchError
 
 

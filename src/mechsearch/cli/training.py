@@ -1,35 +1,48 @@
 """`mechsearch train`; needs PyTorch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import tyro
 
+from mechsearch.algorithm import RunConfig, Schedule
 from mechsearch.cli.command import Command, bars, say, wrote
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.train.config import PRESETS, TrainConfig, load_config, preset_config
-from mechsearch.train.trial import TrialInputs, crossings, run_trial
+from mechsearch.training.algorithms import ALGORITHMS
+from mechsearch.training.config import PRESETS, load_config, run_config
+from mechsearch.training.trial import TrialInputs, crossings, run_trial
 from mechsearch.types import MechSearchError
+
+_Flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True)
 class Train(Command):
-    """Train an actor on the training half of a heap set, and write a run directory.
+    """Learn on the training half of a heap set, and write a run directory.
 
     Attributes:
         heaps: Heap set (.parquet).
         out: Run directory to write.
-        config: The run.
+        name: Variant, under which the run is reported.
+        seed: Of everything random.
+        schedule: How long the run is, and when it is looked at.
+        task: What is learnt.
+        algorithm: How it learns.
         objects: Object set; the one that the heaps name by default.
         resume: Whether the run goes on; said by `--resume FOLDER`.
     """
 
     heaps: Path
     out: Path
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+    name: str
+    seed: int
+    schedule: Annotated[Schedule, _Flat]
+    task: Annotated[TaskConfig, _Flat]
+    algorithm: Annotated[Any, _Flat]
     objects: str = ""
     resume: tyro.conf.Suppress[bool] = False
 
@@ -42,28 +55,49 @@ class Train(Command):
         if words[0] == "--resume":
             if len(words) < 2 or words[1].startswith("-"):
                 raise MechSearchError("--resume needs a run directory, such as runs/method")
-            return tyro.cli(
-                cls, prog=program, args=list(words[2:]), default=cls._of_run(Path(words[1]))
-            )
-        config = preset_config(words[0])
+            folder = Path(words[1])
+            config, inputs = load_config(folder / CONFIG_FILE), TrialInputs.of_run(folder)
+            default = cls._of(config, inputs.heaps, folder)
+            default = replace(default, objects=inputs.objects, resume=True)
+            return cls._parsed(default, program, words[2:])
+        config = run_config(words[0])
         if "--resume" in words:
             raise MechSearchError(
                 "a run goes on with what it began with: `mechsearch train --resume FOLDER`, where "
                 "--actions may be raised"
             )
-        default = cls(tyro.MISSING, tyro.MISSING, config)
-        return tyro.cli(cls, prog=f"{program} {words[0]}", args=list(words[1:]), default=default)
+        default = cls._of(config, tyro.MISSING, tyro.MISSING)
+        return cls._parsed(default, f"{program} {words[0]}", words[1:])
 
     @classmethod
-    def _of_run(cls, folder: Path) -> Self:
-        config, inputs = load_config(folder / CONFIG_FILE), TrialInputs.of_run(folder)
-        return cls(inputs.heaps, folder, config, inputs.objects, resume=True)
+    def _of(cls, config: RunConfig[Any], heaps: Any, out: Any) -> Self:
+        c = config
+        return cls(heaps, out, c.name, c.seed, c.schedule, c.task, c.algorithm)
+
+    @classmethod
+    def _parsed(cls, default: Self, program: str, words: Sequence[str]) -> Self:
+        """Return options, those of the default's own algorithm among them."""
+        kind = dataclass(frozen=True)(
+            type(
+                cls.__name__,
+                (cls,),
+                {
+                    "__doc__": cls.__doc__,
+                    "__annotations__": {
+                        "algorithm": Annotated[type(default.algorithm), _Flat],
+                    },
+                },
+            )
+        )
+        values = {name: getattr(default, name) for name in cls.__dataclass_fields__}
+        return tyro.cli(kind, prog=program, args=list(words), default=kind(**values))
 
     def run(self) -> None:
         """Train, with a progress bar that shows the last evaluation."""
+        config = RunConfig(self.name, self.algorithm, self.seed, self.task, self.schedule)
         inputs = TrialInputs(self.heaps, self.objects)
         with bars() as progress:
-            scores = run_trial(self.config, inputs, self.out, self.resume, progress)
+            scores = run_trial(config, inputs, self.out, self.resume, progress)
         if scores:
             shown = [f"{name} {scores[name]:.3g}" for name in METRICS if name in scores]
             say(f"last evaluation: {', '.join(shown)}")
@@ -79,7 +113,8 @@ def _usage(program: str) -> str:
             f"usage: {program} VARIANT --heaps FILE --out FOLDER [OPTIONS]",
             f"       {program} --resume FOLDER [--actions INT]",
             "",
-            f"Variants: {', '.join(PRESETS)}.",
+            f"Variants: {', '.join(PRESETS)}; algorithms by themselves: {', '.join(ALGORITHMS)};",
+            "or package.module:factory, an algorithm of your own.",
             f"`{program} VARIANT --help` tells every option with the variant's own default.",
         ]
     )

@@ -1,16 +1,18 @@
 """The decision process: nudge a heap until its target is uncovered (paper, section III-A)."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import isfinite
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from math import inf, isfinite
+from operator import attrgetter
+from typing import Any, Self, TypeVar
 
 import gymnasium
 import numpy as np
 
 from mechsearch.camera import preset
-from mechsearch.env.reward import NO_REWARD, RewardConfig, RewardTerms, terms
+from mechsearch.env.reward import RewardConfig, reward_of
+from mechsearch.files import record_from_json
 from mechsearch.geometry import cap_length
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectSet
@@ -33,47 +35,139 @@ from mechsearch.types import (
 _WORLDS_KEPT = 8
 
 
+_LEAST = (
+    ("max_actions", 1), ("start_distance", 0), ("uncovered_at", 0), ("physics.action_steps", 1),
+    ("physics.rest_steps", 0), ("physics.solver_iterations", 1), ("physics.sleep_speed", 0),
+    ("physics.clearance", 0), ("physics.still_speed", 0), ("physics.still_spin", 0),
+    ("workspace.low", 0), ("pusher.friction", 0),
+)  # fmt: skip
+_ABOVE_0 = (
+    "physics.time_step", "physics.deep_penetration", "physics.explosion_speed", "workspace.half",
+    "workspace.table_half", "pusher.radius", "pusher.mass", "pusher.stiffness", "pusher.force",
+)  # fmt: skip
+_MAY_BE_INFINITE = ("physics.clearance", "physics.deep_penetration", "physics.explosion_speed")
+
+
 @dataclass(frozen=True)
-class HeapEnvConfig:
-    """Everything about the task but the heaps.
+class TaskConfig:
+    """The task: what is seen, rewarded and possible, whatever the heaps and whoever acts.
 
     Attributes:
-        keys: Observation keys; see `types`.
-        privileged: Whether to add the keys that critic and teachers read.
         camera: View of all images and of occlusion: "overhead" or "tilted".
         image_size: Side of the square images [px].
         max_actions: Length of an episode (paper: 50).
         uncovered_at: Occlusion up to which the target counts as completely visible.
         start_distance: Least distance from start to target [m] (paper: 0.2).
-        max_clutter: Entries of the padded clutter offsets; 0 takes the largest heap's.
-        reward: Weights of the reward terms.
+        reward: Terms and weights of the reward.
         physics: Numerical choices.
         workspace: Table and bounds.
         pusher: The end effector.
     """
 
-    keys: tuple[str, ...] = ACTOR_KEYS
-    privileged: bool = False
     camera: str = "overhead"
     image_size: int = 64
     max_actions: int = 50
     uncovered_at: float = 0.02
     start_distance: float = 0.2
-    max_clutter: int = 0
     reward: RewardConfig = field(default_factory=RewardConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     workspace: Workspace = field(default_factory=Workspace)
     pusher: Pusher = field(default_factory=Pusher)
 
     def __post_init__(self) -> None:
-        if self.max_actions < 1:
-            raise MechSearchError(f"max_actions is {self.max_actions}; expected at least 1")
+        preset(self.camera, self.image_size)
+        physics, workspace, pusher = self.physics, self.workspace, self.pusher
+        shares = [0 < share < 1 for share in physics.contact_impedance]
+        rules = [
+            *((name, _at(self, name) >= least, f"at least {least}") for name, least in _LEAST),
+            *((name, _at(self, name) > 0, "more than 0") for name in _ABOVE_0),
+            ("uncovered_at", self.uncovered_at < 1, "less than 1"),
+            (
+                "physics.contact_time",
+                physics.contact_time >= 2 * physics.time_step,
+                f"two steps of {physics.time_step} s or more",
+            ),
+            ("physics.contact_impedance", shares == [True] * 2, "two shares between 0 and 1"),
+            ("workspace.high", workspace.high > workspace.low, f"more than {workspace.low}"),
+            ("workspace.floor", workspace.floor <= 0, "at most 0, the table's height"),
+            ("pusher.length", pusher.length > 2 * pusher.radius, f"more than {2 * pusher.radius}"),
+        ]
+        for name, holds, expected in rules:
+            value = _at(self, name)
+            if not holds or (value in (inf, -inf) and name not in _MAY_BE_INFINITE):
+                raise MechSearchError(f"{name} is {value}; expected {expected}")
+
+
+def _at(task: "TaskConfig", name: str) -> Any:
+    return attrgetter(name)(task)
+
+
+@dataclass(frozen=True)
+class HeapEnvConfig(TaskConfig):
+    """The task, and what an environment shows of it.
+
+    Attributes:
+        keys: Observation keys; see `types`.
+        privileged: Whether to add the keys that critic and teachers read.
+        max_clutter: Entries of the padded clutter offsets; 0 takes the largest heap's.
+    """
+
+    keys: tuple[str, ...] = ACTOR_KEYS
+    privileged: bool = False
+    max_clutter: int = 0
+
+    @classmethod
+    def of_task(cls, task: TaskConfig, keys: Sequence[str], privileged: bool = False) -> Self:
+        """Return the configuration that shows some keys of a task."""
+        shared = {entry.name: getattr(task, entry.name) for entry in fields(TaskConfig)}
+        return cls(**shared, keys=tuple(keys), privileged=privileged)
 
     @property
     def all_keys(self) -> tuple[str, ...]:
         """The observation's keys, privileged ones included where asked for."""
         extra = PRIVILEGED_KEYS if self.privileged else ()
         return (*self.keys, *(key for key in extra if key not in self.keys))
+
+
+Task = TypeVar("Task", bound=TaskConfig)
+
+
+def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
+    """Return the task that `dataclasses.asdict` and JSON made, of this or an earlier version.
+
+    Args:
+        kind: `TaskConfig` or `HeapEnvConfig`.
+        data: Values by field.
+
+    Raises:
+        MechSearchError: If a field is unknown, or its value is one that this version has not.
+    """
+    reward = data.get("reward")
+    if isinstance(reward, Mapping) and "least_occlusion" in reward:
+        uncovered_at = data.get("uncovered_at", kind.uncovered_at)
+        if reward["least_occlusion"] != uncovered_at:
+            raise MechSearchError(
+                f"reward.least_occlusion is {reward['least_occlusion']}, and uncovered_at "
+                f"{uncovered_at}; this version has one number, uncovered_at, for both: use the "
+                "version that wrote it"
+            )
+        data = {**data, "reward": {k: v for k, v in reward.items() if k != "least_occlusion"}}
+    return record_from_json(kind, data)
+
+
+def differing(one: TaskConfig, other: TaskConfig) -> tuple[str, ...]:
+    """Return in what another task differs from one, such as "reward.movement 75 -> 100"."""
+    return tuple(_differing(one, other, TaskConfig, ""))
+
+
+def _differing(one: Any, other: Any, kind: Any, prefix: str) -> Iterator[str]:
+    for entry in fields(kind):
+        name, before = prefix + entry.name, getattr(one, entry.name)
+        now = getattr(other, entry.name)
+        if is_dataclass(before):
+            yield from _differing(before, now, before, f"{name}.")
+        elif before != now:
+            yield f"{name} {str(before).removesuffix('.0')} -> {str(now).removesuffix('.0')}"
 
 
 @dataclass(frozen=True)
@@ -120,7 +214,8 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             render_mode: "rgb_array" or None.
 
         Raises:
-            MechSearchError: If there is no heap, or one names an unknown object.
+            MechSearchError: If there is no heap, one names an unknown object, or the reward's
+                function is no good.
         """
         self.config = config or HeapEnvConfig()
         self.heaps = tuple(heaps)
@@ -135,11 +230,13 @@ class HeapEnv(gymnasium.Env[Any, Array]):
                 "with another set"
             )
         largest = max(len(heap.objects) for heap in heaps) - 1
-        if 0 < self.config.max_clutter < largest:
+        if self.config.max_clutter != 0 and self.config.max_clutter < largest:
             raise MechSearchError(
                 f"max_clutter is {self.config.max_clutter}, but a heap has {largest} non-target "
                 f"objects; expected at least {largest}, or 0 to fit"
             )
+        self._reward, terms = reward_of(self.config.reward)
+        self.no_reward = dict.fromkeys(terms, 0.0)
         self._labels = {name: i for i, name in enumerate(objects.models)}
         self._observer = Observer(
             self.config.all_keys,
@@ -157,18 +254,26 @@ class HeapEnv(gymnasium.Env[Any, Array]):
 
     @property
     def heap(self) -> Heap:
-        """The heap of the current episode."""
+        """The heap of the current episode.
+
+        Raises:
+            MechSearchError: If none has begun.
+        """
+        if self._heap_index < 0:
+            raise MechSearchError("no episode has begun; call reset first")
         return self.heaps[self._heap_index]
 
     @property
     def world(self) -> World:
         """The physics of the current episode, for measurements; stepping it is cheating."""
+        _ = self.heap
         return self._world
 
     @property
     def state(self) -> HeapState:
         """The true state."""
-        return HeapState(self._poses.copy(), self._world.pusher_position, self._occlusion)
+        position = self.world.pusher_position
+        return HeapState(self._poses.copy(), position, self._occlusion)
 
     @property
     def actions_taken(self) -> int:
@@ -224,9 +329,10 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             if (self._poses != poses).any():
                 self._occlusion = self._measure_occlusion()
         clutter = moved[others(self.heap.target, len(moved))]
-        reward = terms(
+        reward = self._reward(
             before, self._occlusion, clutter, float(moved[self.heap.target]),
-            max(map(abs, (command - target).tolist())) > 1e-9, self.config.reward,
+            max(map(abs, (command - target).tolist())) > 1e-9, self.config.uncovered_at,
+            self.config.reward,
         )  # fmt: skip
         lost = not self._present[self.heap.target]
         uncovered = not lost and self._occlusion <= self.config.uncovered_at
@@ -237,7 +343,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         )
         self._over = end is not None
         info = self._info(reward, clutter, float(moved[self.heap.target]), end, None)
-        return self._observe(), reward.total, terminated, truncated, info
+        return self._observe(), float(sum(reward.values())), terminated, truncated, info
 
     def render(self) -> Array | None:
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
@@ -356,19 +462,19 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         """End the episode as truncated; the last trusted state is shown and no reward given."""
         self._over = True
         self._world.reset(self._poses)
-        info = self._info(NO_REWARD, np.zeros(1), 0.0, f"failure: {failure}", failure)
+        info = self._info(self.no_reward, np.zeros(1), 0.0, f"failure: {failure}", failure)
         return self._observe(), 0.0, False, True, info
 
     def _info(
         self,
-        reward: RewardTerms,
+        reward: Mapping[str, float],
         clutter: Array,
         target_moved: float,
         end: str | None,
         failure: str | None,
     ) -> dict[str, Any]:
         return {
-            "reward_terms": dict(vars(reward)),
+            "reward_terms": dict(reward),
             "occlusion": self._occlusion,
             "end": end,
             "failure": failure,

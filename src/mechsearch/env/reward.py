@@ -4,67 +4,70 @@ The paper prints the two movement terms without a sign and calls them penalties:
 subtracted here.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
+from numbers import Real
+from typing import Any
 
+import numpy as np
+
+from mechsearch.entry_point import is_entry_point, load_entry_point
 from mechsearch.types import Array, MechSearchError
 
 IDLENESS = ("every action", "nothing moved")
 
+PAPER = "paper"
+"""Names the terms of the paper as the reward."""
+
+Reward = Callable[[float, float, Array, float, bool, float, "RewardConfig"], Mapping[str, float]]
+"""What `terms` is, and what a user's reward must be."""
+
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the terms.
+    """Terms of the reward, and their weights.
 
     Attributes:
+        function: "paper", or package.module:function of a reward of one's own, which is handed
+            what `terms` is handed, and returns named terms; their sum is the reward.
         uncovering: For removing all of the remaining occlusion (paper: 2.5).
         movement: For each metre that the mean non-target object, or the target, moves (paper: 75).
         gain_that_excuses: Relative uncovering from which clutter may move freely (paper: 0.05).
         workspace: For a command that leaves the workspace (paper: 0.5).
         idleness: For an action (paper: 0.5).
         idle_when: "every action", or only when "nothing moved"; the paper leaves it open.
-        least_occlusion: Smallest denominator of the relative uncovering: below it the target
-            counts as completely visible.
         still: Displacement up to which an object has not moved [m].
     """
 
+    function: str = PAPER
     uncovering: float = 2.5
     movement: float = 75.0
     gain_that_excuses: float = 0.05
     workspace: float = 0.5
     idleness: float = 0.5
     idle_when: str = "every action"
-    least_occlusion: float = 0.02
     still: float = 1e-3
 
     def __post_init__(self) -> None:
+        if self.function != PAPER and not is_entry_point(self.function):
+            raise MechSearchError(
+                f"unknown reward function {self.function!r}; expected {PAPER!r} or "
+                "package.module:function"
+            )
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not isfinite(value):
+                raise MechSearchError(f"reward.{name} is {value}; expected a finite number")
         if self.idle_when not in IDLENESS:
             raise MechSearchError(
                 f"unknown idle_when {self.idle_when!r}; choose one of {', '.join(IDLENESS)}"
             )
 
 
-@dataclass(frozen=True)
-class RewardTerms:
-    """One action's reward, term by term; their sum is the reward."""
-
-    uncovering: float
-    clutter_movement: float
-    target_movement: float
-    workspace: float
-    idleness: float
-
-    @property
-    def total(self) -> float:
-        """The reward."""
-        return float(sum(vars(self).values()))
-
-
-NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def uncovering_gain(before: float, after: float, least: float) -> float:
     """Return the relative change in occlusion, in [-1, 1]; positive when more is visible."""
-    return max((before - after) / max(before, least), -1.0)
+    # Where the least is 0, a target that was in full view must not be divided by.
+    return max((before - after) / max(before, least, 1e-9), -1.0)
 
 
 def uncovering(gain: float, config: RewardConfig) -> float:
@@ -101,9 +104,10 @@ def terms(
     clutter_moved: Array,
     target_moved: float,
     leaves_workspace: bool,
+    uncovered_at: float,
     config: RewardConfig,
-) -> RewardTerms:
-    """Return all terms of one action.
+) -> dict[str, float]:
+    """Return all terms of one action; their sum is its reward.
 
     Args:
         before: Occlusion before the action.
@@ -111,13 +115,56 @@ def terms(
         clutter_moved: Displacement of each non-target object (N,) [m].
         target_moved: Displacement of the target [m].
         leaves_workspace: Whether the command pointed outside the workspace.
+        uncovered_at: Occlusion up to which the target counts as completely visible: the smallest
+            denominator of the relative uncovering.
         config: Weights.
     """
-    gain = uncovering_gain(before, after, config.least_occlusion)
-    return RewardTerms(
-        uncovering=uncovering(gain, config),
-        clutter_movement=clutter_movement(gain, clutter_moved, config),
-        target_movement=target_movement(target_moved, config),
-        workspace=workspace(leaves_workspace, config),
-        idleness=idleness(max(clutter_moved.max(initial=0.0), target_moved), config),
+    gain = uncovering_gain(before, after, uncovered_at)
+    return {
+        "uncovering": uncovering(gain, config),
+        "clutter_movement": clutter_movement(gain, clutter_moved, config),
+        "target_movement": target_movement(target_moved, config),
+        "workspace": workspace(leaves_workspace, config),
+        "idleness": idleness(max(clutter_moved.max(initial=0.0), target_moved), config),
+    }
+
+
+def reward_of(config: RewardConfig) -> tuple[Reward, tuple[str, ...]]:
+    """Return the reward that a configuration names, and the names of its terms.
+
+    Raises:
+        MechSearchError: If there is no such function, or it returns anything but finite numbers
+            by name; the function that is returned raises so as well, or if the names change.
+    """
+    function = (
+        terms if config.function == PAPER else load_entry_point(config.function, "reward function")
     )
+    names = tuple(_checked(function(0.5, 0.5, np.zeros(1), 0.0, False, 0.02, config), config))
+    if config.function == PAPER:
+        return terms, names
+
+    def checked(*args: Any) -> dict[str, float]:
+        found = _checked(function(*args), config)
+        if found.keys() != set(names):
+            raise MechSearchError(
+                f"reward function {config.function!r} returned {', '.join(found) or 'no term'}; "
+                f"expected {', '.join(names)} after every action"
+            )
+        return {name: found[name] for name in names}
+
+    return checked, names
+
+
+def _checked(found: Any, config: RewardConfig) -> dict[str, float]:
+    """Return terms as plain numbers."""
+    if not (
+        isinstance(found, Mapping)
+        and found
+        and all(isinstance(name, str) for name in found)
+        and all(isinstance(value, Real) and isfinite(value) for value in found.values())
+    ):
+        raise MechSearchError(
+            f"reward function {config.function!r} returned {found!r:.200}; expected a mapping of "
+            "names to finite numbers"
+        )
+    return {name: float(value) for name, value in found.items()}

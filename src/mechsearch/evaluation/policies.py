@@ -17,7 +17,7 @@ from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.teachers import TEACHERS, make_teacher
 from mechsearch.types import MechSearchError, Observation, Policy
 
-TRAINED_LOADER = "mechsearch.train.trained:load_policy"
+TRAINED_LOADER = "mechsearch.training.trained:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 LOOK_AHEAD = "look-ahead"

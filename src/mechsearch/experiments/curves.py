@@ -7,7 +7,7 @@ from pathlib import Path
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
 from mechsearch.files import locked, read_lines, write_whole
 from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE
-from mechsearch.train.config import load_config
+from mechsearch.training.config import load_config
 
 COLUMNS = (
     "condition", "variant", "seed", "step", "metric", "mean", "ci_low", "ci_high", "heaps"

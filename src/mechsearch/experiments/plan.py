@@ -18,7 +18,7 @@ from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
-from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig, preset_config
+from mechsearch.training.config import SHIPPED_NETWORK, TrainConfig, preset_config
 from mechsearch.types import MechSearchError
 
 VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")

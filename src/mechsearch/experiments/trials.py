@@ -24,9 +24,9 @@ from mechsearch.files.layout import (
     METRICS_FILE,
     POLICY_FILE,
 )
-from mechsearch.train.config import TrainConfig, load_config
-from mechsearch.train.trained import load_policy
-from mechsearch.train.trial import TrialInputs, run_trial
+from mechsearch.training.config import TrainConfig, load_config
+from mechsearch.training.trained import load_policy
+from mechsearch.training.trial import TrialInputs, run_trial
 from mechsearch.types import MechSearchError
 
 Grasp = Callable[[Evaluation], Evaluation]

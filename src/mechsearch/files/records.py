@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 from zlib import crc32
 
 from mechsearch.files.whole import naming, write_text
@@ -155,31 +155,66 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
             yield record
 
 
-def record_from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
+def differences(one: object, other: object, prefix: str = "") -> list[tuple[str, Any, Any]]:
+    """Return name, value and other value of each field in which two dataclasses differ.
+
+    Of nested ones of the same kind the fields are compared, under names such as "reward.movement".
+    """
+    found: list[tuple[str, Any, Any]] = []
+    for field in fields(cast("DataclassInstance", one)):
+        name, before, now = (
+            prefix + field.name,
+            getattr(one, field.name),
+            getattr(other, field.name),
+        )
+        if is_dataclass(before) and type(before) is type(now):
+            found += differences(before, now, f"{name}.")
+        elif before != now:
+            found.append((name, before, now))
+    return found
+
+
+def record_from_json(
+    kind: type[Record], data: Mapping[str, Any], retired: Mapping[str, Any] | None = None
+) -> Record:
     """Return a dataclass, nested ones included, from what `dataclasses.asdict` and JSON made.
 
+    Args:
+        kind: The dataclass.
+        data: Values by field; fields left out keep their defaults.
+        retired: Fields of earlier versions, anywhere in it, that may be left out again because they
+            have the value that is now the only one.
+
     Raises:
-        MechSearchError: If a field is unknown or its value of another kind; fields left out keep
-            their defaults.
+        MechSearchError: If a field is unknown, its value of another kind, or a retired one's value
+            another.
     """
     if not isinstance(data, Mapping):
         raise MechSearchError(f"a {kind.__name__} is {data!r}; expected values by field")
     hints = get_type_hints(kind)
     known = [field.name for field in fields(kind) if field.init]
-    unknown = [name for name in data if name not in known]
+    kept = dict(data)
+    for name in [name for name in data if name not in known and name in (retired or {})]:
+        value, only = kept.pop(name), (retired or {})[name]
+        if value != only:
+            raise MechSearchError(
+                f"{name} is {value!r}, and this version knows {only!r} alone; go on with the "
+                "version that wrote it"
+            )
+    unknown = [name for name in kept if name not in known]
     if unknown:
         raise MechSearchError(
             f"{kind.__name__} has no {', '.join(unknown)}; it has {', '.join(known)}"
         )
-    return kind(**{name: _value(hints[name], name, value) for name, value in data.items()})
+    return kind(**{name: _value(hints[name], name, kept[name], retired) for name in kept})
 
 
-def _value(kind: Any, name: str, value: Any) -> Any:
+def _value(kind: Any, name: str, value: Any, retired: Mapping[str, Any] | None) -> Any:
     if isinstance(kind, type) and is_dataclass(kind):
-        return record_from_json(kind, value)
+        return record_from_json(kind, value, retired)
     if get_origin(kind) is tuple and isinstance(value, list):
         inner = get_args(kind)[0]
-        return tuple(_value(inner, name, entry) for entry in value)
+        return tuple(_value(inner, name, entry, retired) for entry in value)
     expected = (int, float) if kind is float else (get_origin(kind) or kind)
     # JSON's true is no number.
     if isinstance(value, bool) != (kind is bool) or not isinstance(value, expected):

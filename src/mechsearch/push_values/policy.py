@@ -2,27 +2,16 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import preset
-from mechsearch.files import record_from_json
-from mechsearch.files.tensors import Archive, load_archive, save_archive
-from mechsearch.push_values.value import (
-    Ahead,
-    PushValue,
-    PushValueConfig,
-    networks_of,
-    tensors_of,
-)
+from mechsearch.push_values.value import Continuation, PushValue
 from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
-
-KIND = "mechsearch push policy"
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])
 """Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
@@ -36,11 +25,13 @@ class PushPolicyConfig:
         candidates: Random pushes to judge each time.
         camera: View of the images, a name for `camera.preset`.
         image_size: Side of the images [px].
+        idleness: What an action costs.
     """
 
     candidates: int = 96
     camera: str = "overhead"
     image_size: int = 64
+    idleness: float = 0.5
 
     def __post_init__(self) -> None:
         if self.candidates < 1:
@@ -55,20 +46,18 @@ class PushPolicy:
     def __init__(
         self,
         networks: Sequence[PushValue],
-        ahead: Ahead,
+        continuation: Continuation,
         config: PushPolicyConfig,
-        training_actions: int = 0,
     ) -> None:
         """Keep copies of the networks.
 
         Args:
             networks: Whose mean counts; without any, pushes are random.
-            ahead: What is expected after a push.
+            continuation: What is expected after a push.
             config: How pushes are chosen.
-            training_actions: Actions executed in its training, for the record.
         """
         self.networks = [copy.deepcopy(network).eval() for network in networks]
-        self.ahead, self.config, self.training_actions = ahead, config, training_actions
+        self.continuation, self.config = continuation, config
         self.camera = preset(config.camera, config.image_size)
         self.reset(np.random.default_rng(0))
 
@@ -111,35 +100,9 @@ class PushPolicy:
         patches, numbers = torch.from_numpy(views.patches), torch.from_numpy(views.numbers)
         planned = torch.from_numpy(views.actions)
         with torch.inference_mode():
-            values = [n.value(patches, numbers, planned, self.ahead) for n in self.networks]
+            values = [
+                n.value(patches, numbers, planned, self.continuation, self.config.idleness)
+                for n in self.networks
+            ]
             mean: Floats = torch.stack(values).mean(dim=0).double().numpy()
         return mean
-
-
-def save_push_policy(policy: PushPolicy, path: Path) -> None:
-    """Write a policy to a safetensors file that `load_push_policy` needs nothing beside."""
-    meta = {
-        "network": asdict(policy.networks[0].config),
-        "networks": len(policy.networks),
-        "ahead": asdict(policy.ahead),
-        "policy": asdict(policy.config),
-        "training_actions": policy.training_actions,
-    }
-    save_archive(path, Archive(KIND, tensors_of(policy.networks), meta))
-
-
-def load_push_policy(path: Path) -> PushPolicy:
-    """Read a policy written by `save_push_policy`.
-
-    Raises:
-        MechSearchError: If the file is missing, damaged or holds something else.
-    """
-    archive = load_archive(path, KIND)
-    meta = archive.meta
-    config = record_from_json(PushValueConfig, meta["network"])
-    return PushPolicy(
-        networks_of(archive.tensors, int(meta["networks"]), config),
-        record_from_json(Ahead, meta["ahead"]),
-        record_from_json(PushPolicyConfig, meta["policy"]),
-        int(meta["training_actions"]),
-    )

@@ -1,36 +1,75 @@
-"""The state of a run that learns pushes: its samples, its policy, its generators and counters."""
+"""All of a run that learns pushes that changes while it goes on, and the options it follows."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from mechsearch.algorithm import Line, RunConfig, Tensors, TrainingSetup, at_least
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.trial import Rollout, from_start, imageless, roll_out
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import Archive, load_archive, save_archive
-from mechsearch.push_values.policy import PushPolicy
+from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import (
-    Ahead,
+    Continuation,
     PushOutcome,
     PushSamples,
     PushValue,
-    fit,
+    PushValueConfig,
+    fit_pushes,
     networks_of,
     tensors_of,
 )
 from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, view_pushes
-from mechsearch.train.checkpoint import generator_state, restore_generator
-from mechsearch.train.config import TrainConfig
-from mechsearch.types import Array
+from mechsearch.types import Array, MechSearchError
 
-KIND = "mechsearch pushes"
+EPISODES_FOLDER = "pushes"
+"""Folder of a run directory with what its episodes taught."""
+
+_EPISODE_KIND = "mechsearch pushes"
 
 _RECENT, _ENOUGH = 300, 60
 """What follows a push is judged by so many of the last ones, once there are enough."""
+
+
+@dataclass(frozen=True)
+class PushValuesConfig:
+    """Learning what pushes bring, from episodes in which they are carried out.
+
+    Attributes:
+        networks: How many judge together.
+        candidates: Random pushes to judge each time.
+        tries: Pushes at each decision whose outcome is learnt from: the executed one, and others
+            that are only tried in the simulator from there. Without a simulator it is 1.
+        explore: Share of random pushes among the executed ones, after the first fit; before it, all
+            are random.
+        ranked: Share of the tried pushes that are the best of what the policy judges, not random.
+        value: The network and its fit.
+    """
+
+    networks: int = 3
+    candidates: int = 96
+    tries: int = 24
+    explore: float = 0.1
+    ranked: float = 0.5
+    value: PushValueConfig = field(default_factory=PushValueConfig)
+
+    def __post_init__(self) -> None:
+        at_least(1, self, "networks", "candidates", "tries")
+        if self.tries > self.candidates:
+            raise MechSearchError(
+                f"tries is {self.tries}, but {self.candidates} candidates are drawn; "
+                f"expected 1 to {self.candidates}"
+            )
+        if not (0 <= self.explore <= 1 and 0 <= self.ranked <= 1):
+            raise MechSearchError(
+                f"explore is {self.explore} and ranked {self.ranked}; expected shares in [0, 1]"
+            )
 
 
 @dataclass(frozen=True)
@@ -49,30 +88,62 @@ class EpisodeOfPushes:
     summary: dict[str, Any]
 
 
-class PushSession:
+class PushValuesSession:
     """Acts by pushes, remembers what they brought, and fits the networks to it."""
 
-    def __init__(self, config: TrainConfig, env: HeapEnv, heaps: Sequence[int]) -> None:
+    def __init__(self, run: RunConfig[Any], setup: TrainingSetup, folder: Path) -> None:
         """Begin with random pushes.
 
         Args:
-            config: The run.
-            env: The task, with images and privileged positions for the trials.
-            heaps: Indices of the heaps to learn on.
+            run: The run.
+            setup: The task, with images and privileged positions for the trials; no teachers.
+            folder: The run directory, where episodes are kept.
+
+        Raises:
+            MechSearchError: If the environment has no heaps.
         """
-        torch.set_num_threads(config.threads)
-        self.config, self._env, self._heaps = config, env, heaps
-        self._twin = imageless(env)
+        if not isinstance(setup.env, HeapEnv):
+            raise MechSearchError(
+                f"pushes are learnt in heaps, not in a {type(setup.env).__name__}"
+            )
+        torch.set_num_threads(run.schedule.threads)
+        self.config: PushValuesConfig = run.algorithm
+        self._run, self._folder = run, folder / EPISODES_FOLDER
+        self._env, self._heaps = setup.env, setup.heaps
+        self._twin = imageless(self._env)
         self.counts = {"executed": 0, "simulated": 0, "episodes": 0, "fits": 0}
-        self._rng = np.random.default_rng(config.seed)
+        self._rng = np.random.default_rng(run.seed)
         self._samples: list[PushSamples] = []
         self._followed: list[torch.Tensor] = []
-        self.policy = self._policy((), Ahead())
+        self.policy = self._policy((), Continuation())
 
-    def _policy(self, networks: Sequence[PushValue], ahead: Ahead) -> PushPolicy:
-        camera, size = self.config.camera, self.config.image_size
-        config = replace(self.config.pushes.policy, camera=camera, image_size=size)
-        return PushPolicy(networks, ahead, config, self.counts["executed"])
+    def _policy(self, networks: Sequence[PushValue], continuation: Continuation) -> PushPolicy:
+        task = self._run.task
+        config = PushPolicyConfig(
+            self.config.candidates, task.camera, task.image_size, task.reward.idleness
+        )
+        return PushPolicy(networks, continuation, config)
+
+    @property
+    def executed(self) -> int:
+        """Actions executed so far."""
+        return self.counts["executed"]
+
+    def advance(self, until: int) -> Iterator[list[Line]]:
+        """Go through an episode, and keep what it taught."""
+        episode = self.episode()
+        save_episode(episode, self._file(self.counts["episodes"] - 1))
+        self.remember(episode)
+        # Episodes are noted under the round number of actions of the next fit.
+        step = (self.counts["fits"] + 1) * self._run.schedule.evaluate_every
+        yield [Line("episode", step, {"executed": self.executed, **episode.summary})]
+
+    def catch_up(self, step: int) -> list[Line]:
+        """Fit new networks to everything remembered."""
+        return [Line("fit", step, self.fit())]
+
+    def _file(self, episode: int) -> Path:
+        return self._folder / f"{episode:06d}.safetensors"
 
     def episode(self) -> EpisodeOfPushes:
         """Go through one episode on a random heap."""
@@ -95,8 +166,8 @@ class PushSession:
 
     def _choose(self, sight: Sight) -> list[Push]:
         """Return the push to execute, and then those to try beside it."""
-        plan = self.config.pushes
-        pushes = draw_pushes(plan.policy.candidates, self._rng)
+        plan = self.config
+        pushes = draw_pushes(plan.candidates, self._rng)
         explores = self._rng.random() < plan.explore
         if not self.policy.networks:
             return pushes[: plan.tries]
@@ -126,41 +197,45 @@ class PushSession:
 
     def fit(self) -> dict[str, float]:
         """Fit new networks to everything remembered; return what the log notes."""
-        plan, samples = self.config.pushes, PushSamples.joined(self._samples)
-        ahead = _ahead(torch.cat(self._followed)[-_RECENT:])
+        plan, samples = self.config, PushSamples.joined(self._samples)
+        continuation = _continuation(torch.cat(self._followed)[-_RECENT:])
         networks, losses = [], []
         for i in range(plan.networks):
-            source = np.random.SeedSequence([self.config.seed, self.counts["fits"], i])
+            source = np.random.SeedSequence([self._run.seed, self.counts["fits"], i])
             seed = int(source.generate_state(1)[0])
             torch.manual_seed(seed)
             networks.append(PushValue(plan.value))
-            losses.append(fit(networks[-1], samples, seed))
+            losses.append(fit_pushes(networks[-1], samples, seed))
         self.counts["fits"] += 1
-        self.policy = self._policy(networks, ahead)
+        self.policy = self._policy(networks, continuation)
         return {
             "loss": float(np.mean(losses)),
             "pushes": len(samples),
-            **asdict(ahead),
+            **asdict(continuation),
             **self.counts,
         }
 
-    def archive(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    def archive(self) -> tuple[Tensors, dict[str, Any]]:
         """Return tensors and facts that `restore` takes back, between two episodes."""
         return tensors_of(self.policy.networks), {
             "counts": dict(self.counts),
-            "generator": generator_state(self._rng),
-            "ahead": asdict(self.policy.ahead),
+            "generator": json.dumps(self._rng.bit_generator.state),
+            "ahead": asdict(self.policy.continuation),
         }
 
-    def restore(self, archive: Archive, episodes: Sequence[EpisodeOfPushes]) -> None:
-        """Go back to a checkpoint, after these episodes."""
-        self.counts = {**self.counts, **archive.meta["counts"]}
-        restore_generator(self._rng, archive.meta["generator"])
-        plan = self.config.pushes
-        networks = networks_of(archive.tensors, plan.networks, plan.value)
-        self.policy = self._policy(networks, record_from_json(Ahead, archive.meta["ahead"]))
-        for episode in episodes:
-            self.remember(episode)
+    def restore(self, tensors: Tensors, facts: Mapping[str, Any]) -> None:
+        """Go back to where `archive` was called; the episodes until then are read again.
+
+        Raises:
+            MechSearchError: If a file is missing or damaged, or of other networks.
+        """
+        self.counts = {**self.counts, **facts["counts"]}
+        self._rng.bit_generator.state = json.loads(facts["generator"])
+        count = self.config.networks if self.counts["fits"] else 0
+        networks = networks_of(tensors, count, self.config.value)
+        self.policy = self._policy(networks, record_from_json(Continuation, facts["ahead"]))
+        for number in range(self.counts["episodes"]):
+            self.remember(load_episode(self._file(number)))
 
 
 def outcome_of(rollout: Rollout) -> PushOutcome | None:
@@ -193,13 +268,13 @@ def _followed(rollouts: Sequence[Rollout]) -> torch.Tensor:
     return torch.tensor(rows, dtype=torch.float32).reshape(-1, 2)
 
 
-def _ahead(followed: torch.Tensor) -> Ahead:
+def _continuation(followed: torch.Tensor) -> Continuation:
     """Return the line through what followed pushes that left the target covered."""
     if len(followed) < _ENOUGH:
-        return Ahead()
+        return Continuation()
     occlusion, rewards = followed.double().numpy().T
     slope, at_once = np.polyfit(occlusion, rewards, 1)
-    return Ahead(float(at_once), float(max(-slope, 0.0)))
+    return Continuation(float(at_once), float(max(-slope, 0.0)))
 
 
 def _summary(heap: int, rollouts: Sequence[Rollout]) -> dict[str, Any]:
@@ -220,7 +295,7 @@ def _summary(heap: int, rollouts: Sequence[Rollout]) -> dict[str, Any]:
 def save_episode(episode: EpisodeOfPushes, path: Path) -> None:
     """Write an episode, whole or not at all."""
     tensors = {**vars(episode.samples), "followed": episode.followed}
-    save_archive(path, Archive(KIND, tensors, {"summary": episode.summary}))
+    save_archive(path, Archive(_EPISODE_KIND, tensors, {"summary": episode.summary}))
 
 
 def load_episode(path: Path) -> EpisodeOfPushes:
@@ -229,7 +304,7 @@ def load_episode(path: Path) -> EpisodeOfPushes:
     Raises:
         MechSearchError: If the file is missing or damaged.
     """
-    archive = load_archive(path, KIND)
+    archive = load_archive(path, _EPISODE_KIND)
     tensors = dict(archive.tensors)
     followed = tensors.pop("followed")
     return EpisodeOfPushes(PushSamples(**tensors), followed, archive.meta["summary"])

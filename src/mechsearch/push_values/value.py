@@ -31,7 +31,6 @@ class PushValueConfig:
         weight_decay: Of AdamW.
         batch: Pushes an update.
         epochs: How often a fit sees every push.
-        idleness: Cost of an action (paper: 0.5).
         gentleness: Cost of each metre that the mean non-target object moves, beyond the reward.
     """
 
@@ -42,7 +41,6 @@ class PushValueConfig:
     weight_decay: float = 1e-2
     batch: int = 128
     epochs: float = 15.0
-    idleness: float = 0.5
     gentleness: float = 30.0
 
     def __post_init__(self) -> None:
@@ -73,7 +71,7 @@ class PushOutcome:
 
 
 @dataclass(frozen=True)
-class Ahead:
+class Continuation:
     """What follows a push that did not uncover the target: `at_once - by_occlusion * occlusion`."""
 
     at_once: float = -6.0
@@ -147,13 +145,28 @@ class PushValue(nn.Module):
         out: Tensor = self.dense(torch.cat([features, numbers], dim=1))
         return out
 
-    def value(self, patches: Tensor, numbers: Tensor, planned: Tensor, ahead: Ahead) -> Tensor:
-        """Return the rewards expected of pushes and of what follows them (B,)."""
+    def value(
+        self,
+        patches: Tensor,
+        numbers: Tensor,
+        planned: Tensor,
+        continuation: Continuation,
+        idleness: float,
+    ) -> Tensor:
+        """Return the rewards expected of pushes and of what follows them (B,).
+
+        Args:
+            patches: (B, *PATCH).
+            numbers: (B, NUMBERS).
+            planned: Actions as planned (B,).
+            continuation: What follows a push that leaves the target covered.
+            idleness: Cost of an action.
+        """
         out = self(patches, numbers)
         actions = planned + _ACTIONS * out[:, 3]
         covered = 1 - torch.sigmoid(out[:, 1])
-        now = _REWARD * out[:, 0] - self.config.idleness * actions
-        value: Tensor = now + covered * ahead.value(out[:, 2])
+        now = _REWARD * out[:, 0] - idleness * actions
+        value: Tensor = now + covered * continuation.value(out[:, 2])
         return value
 
 
@@ -192,7 +205,7 @@ def targets(samples: PushSamples, config: PushValueConfig) -> Tensor:
     )
 
 
-def fit(network: PushValue, samples: PushSamples, seed: int) -> float:
+def fit_pushes(network: PushValue, samples: PushSamples, seed: int) -> float:
     """Fit a network to outcomes; return the last epoch's mean loss.
 
     Straight pushes are mirrored at random, since left and right are alike; the others are drawn

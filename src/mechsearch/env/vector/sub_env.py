@@ -1,13 +1,12 @@
 """One environment of many, as the process that asks sees it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
 
-from mechsearch.env.reward import NO_REWARD
 from mechsearch.env.vector.hosting import Act, Acted, Begin, Begun
 from mechsearch.env.vector.quarantine import Quarantine
 from mechsearch.processes import Failure
@@ -46,6 +45,7 @@ class Lane:
         kept: Mapping[str, Array],
         quarantine: Quarantine,
         same_step: bool,
+        no_reward: Mapping[str, float],
     ) -> None:
         """Begin without an episode.
 
@@ -55,13 +55,14 @@ class Lane:
             kept: Where they are kept.
             quarantine: Of the heaps, shared by all environments.
             same_step: Whether an episode that is over is followed by the next in the same step.
+            no_reward: The reward's terms where a worker failed.
         """
         self.kept = kept
         self.rng: np.random.Generator | None = None
         self.over = True
         self.outcome = Outcome()
         self._env, self._shared, self._quarantine = env, shared, quarantine
-        self._same_step = same_step
+        self._same_step, self._no_reward = same_step, no_reward
         self._heap, self._occlusion = 0, 1.0
         self._beginning: Begin | None = None
         self._failed_starts = 0
@@ -147,7 +148,7 @@ class Lane:
     def _failed(self, failure: Failure) -> Acted:
         """Return the end of an episode whose worker failed: truncated, without reward."""
         info = {
-            "reward_terms": asdict(NO_REWARD),
+            "reward_terms": dict(self._no_reward),
             "occlusion": self._occlusion,
             "end": f"failure: {failure.reason}",
             "failure": failure.reason,

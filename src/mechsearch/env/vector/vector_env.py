@@ -85,8 +85,9 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         shared = self._hosts.observations
         self._kept = {key: np.zeros_like(rows) for key, rows in shared.items()}
         self._quarantine = Quarantine(env.heaps)
+        same_step, nothing = mode is MODES[0], env.no_reward
         self._lanes = [
-            Lane(i, _row(shared, i), _row(self._kept, i), self._quarantine, mode is MODES[0])
+            Lane(i, _row(shared, i), _row(self._kept, i), self._quarantine, same_step, nothing)
             for i in range(num_envs)
         ]
         self._turn: deque[int] = deque()

@@ -35,11 +35,11 @@ from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_e
 from mechsearch.push_values.value import Ahead, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes import NUMBERS, PATCH
 from mechsearch.report.curves import read_run
-from mechsearch.train import checkpoint
-from mechsearch.train.checkpoint import RunDirectory
-from mechsearch.train.config import load_config
-from mechsearch.train.loop import train
-from mechsearch.train.trial import TrialInputs
+from mechsearch.training import checkpoint
+from mechsearch.training.checkpoint import RunDirectory
+from mechsearch.training.config import load_config
+from mechsearch.training.loop import train
+from mechsearch.training.trial import TrialInputs
 from mechsearch.types import MechSearchError
 
 

@@ -10,10 +10,10 @@ from mechsearch.actor_critic.policy import load_actor
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive
 from mechsearch.heaps.dataset import HeapSet, load, object_set
-from mechsearch.train.assemble import assemble
-from mechsearch.train.checkpoint import KIND
-from mechsearch.train.config import PRESETS
-from mechsearch.train.loop import train
+from mechsearch.training.assemble import assemble
+from mechsearch.training.checkpoint import KIND
+from mechsearch.training.config import PRESETS
+from mechsearch.training.loop import train
 from mechsearch.types import MechSearchError
 
 SMALL = NetworkConfig(filters=4, hidden=(32, 32))

@@ -8,7 +8,7 @@ from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
 from mechsearch.processes import silent
-from mechsearch.train.graspability import GraspabilityChange
+from mechsearch.training.graspability import GraspabilityChange
 
 
 def episodes(policy, limit):

@@ -1,22 +1,24 @@
 """Parts of a run from a heap set: environment, teachers and evaluators."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from mechsearch.actor_critic.collector import Evaluator, Parts
+from mechsearch.algorithm import Evaluator, RunConfig, TrainingSetup
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.evaluation.metrics import mean_interval, score
 from mechsearch.evaluation.rollout import run
 from mechsearch.grasp.network import load_network
-from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teacher
-from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig
-from mechsearch.train.graspability import GraspabilityChange
+from mechsearch.training.graspability import GraspabilityChange
 from mechsearch.types import MechSearchError, Policy
+
+SHIPPED_NETWORK = "shipped"
+"""Names the grasp network that comes with the package."""
 
 
 @dataclass(frozen=True)
@@ -52,48 +54,50 @@ class HeapEvaluator:
         return found
 
 
-def assemble(config: TrainConfig, heap_set: HeapSet, objects: ObjectSet) -> Parts:
-    """Return the parts of a run on the training heaps of a set.
+def assemble(config: RunConfig[Any], heap_set: HeapSet, objects: ObjectSet) -> TrainingSetup:
+    """Return what a run needs of the training heaps of a set.
 
     Validation heaps are taken out of the training heaps, evenly over the object counts, the same
-    ones for every configuration. Held-out heaps are watched only where the configuration asks.
+    ones for every configuration. Held-out heaps are watched only where the schedule asks.
 
     Raises:
         MechSearchError: If the set has too few heaps.
     """
-    training = [i for i, heap in enumerate(heap_set.heaps) if not heap.held_out]
-    held_out = [i for i, heap in enumerate(heap_set.heaps) if heap.held_out]
-    validation = _some(training, config.validation_heaps, "validation")
-    watched = _some(held_out, config.held_out_heaps, "held-out")
-    learnt = [i for i in training if i not in set(validation)]
+    schedule, algorithm = config.schedule, config.algorithm
+    validation = _some(heap_set, "train", schedule.validation_heaps, "validation")
+    watched = _some(heap_set, "held-out", schedule.held_out_heaps, "held-out")
+    learnt = [i for i in heap_set.choose("train") if i not in set(validation)]
     if not learnt:
         raise MechSearchError(
-            f"{len(training)} training heaps, of which {len(validation)} are kept for validation, "
-            "leave none to learn on"
+            f"{len(validation)} training heaps, of which {len(validation)} are kept for "
+            "validation, leave none to learn on"
         )
-    task = HeapEnvConfig(keys=config.actor_keys, camera=config.camera, image_size=config.image_size)
-    env = HeapEnv(heap_set.heaps, objects, replace(task, privileged=True))
-    quiet = HeapEnv(heap_set.heaps, objects, task)
+    shown = HeapEnvConfig.of_task(config.task, algorithm.keys)
+    env = HeapEnv(heap_set.heaps, objects, HeapEnvConfig.of_task(config.task, algorithm.keys, True))
+    quiet = HeapEnv(heap_set.heaps, objects, shown)
     evaluators: dict[str, Evaluator] = {}
     if validation:
-        evaluators["validation"] = HeapEvaluator(quiet, tuple(validation))
+        evaluators["validation"] = HeapEvaluator(quiet, validation)
     if watched:
-        grasped = _grasped(config, objects)
-        evaluators["held_out"] = HeapEvaluator(quiet, tuple(watched), True, grasped)
-    return Parts(env, learnt, {name: make_teacher(name) for name in config.teachers}, evaluators)
+        grasped = _grasped(schedule.grasp_network, objects)
+        evaluators["held_out"] = HeapEvaluator(quiet, watched, True, grasped)
+    teachers = {name: make_teacher(name) for name in algorithm.teachers}
+    return TrainingSetup(env, learnt, teachers, evaluators)
 
 
-def _grasped(config: TrainConfig, objects: ObjectSet) -> GraspabilityChange | None:
-    if not config.grasp_network:
+def _grasped(network: str, objects: ObjectSet) -> GraspabilityChange | None:
+    if not network:
         return None
-    shipped = config.grasp_network == SHIPPED_NETWORK
-    network = load_network(None if shipped else Path(config.grasp_network))
-    return GraspabilityChange(network, objects)
+    file = None if network == SHIPPED_NETWORK else Path(network)
+    return GraspabilityChange(load_network(file), objects)
 
 
-def _some(heaps: list[int], count: int, what: str) -> list[int]:
-    if count > len(heaps):
+def _some(heap_set: HeapSet, split: str, count: int, what: str) -> tuple[int, ...]:
+    if not count:
+        return ()
+    there = len(heap_set.train if split == "train" else heap_set.held_out)
+    if count > there:
         raise MechSearchError(
-            f"{count} {what} heaps asked for; the set has {len(heaps)} to take them from"
+            f"{count} {what} heaps asked for; the set has {there} to take them from"
         )
-    return [heaps[i] for i in evenly_spread(len(heaps), count)]
+    return heap_set.choose(split, count)

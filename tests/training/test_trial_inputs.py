@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("torch")
 
 from mechsearch.heaps.dataset import load
-from mechsearch.train.trial import TrialInputs, _record
+from mechsearch.training.trial import TrialInputs, _record
 
 
 def recorded(heaps, run):

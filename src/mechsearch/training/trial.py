@@ -7,15 +7,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from mechsearch.algorithm import RunConfig
 from mechsearch.files import alone, read_record, write_record
 from mechsearch.files.fingerprint import crossed, fingerprint
 from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE
-from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.heaps.dataset import HeapSet, open_heaps
 from mechsearch.processes import Progress, silent
-from mechsearch.train.assemble import assemble
-from mechsearch.train.config import TrainConfig
-from mechsearch.train.loop import train
-from mechsearch.train.push_loop import learn_pushes
+from mechsearch.training.assemble import assemble
+from mechsearch.training.loop import train
 from mechsearch.types import MechSearchError
 
 _HISTORY = "fingerprints"
@@ -46,7 +45,7 @@ class TrialInputs:
 
 
 def run_trial(
-    config: TrainConfig,
+    config: RunConfig[Any],
     inputs: TrialInputs,
     directory: Path,
     resume: bool = False,
@@ -70,15 +69,12 @@ def run_trial(
 
 
 def _run_alone(
-    config: TrainConfig, inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
+    config: RunConfig[Any], inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
 ) -> dict[str, float]:
-    heap_set = load(inputs.heaps)
-    objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
-    check_objects(heap_set, objects)
-    _record(inputs, heap_set, directory, resume, fingerprint(config.threads))
-    parts = assemble(config, heap_set, objects)
-    learn = learn_pushes if config.pushes.networks else train
-    return learn(config, parts, directory, resume, progress)
+    heap_set, objects = open_heaps(inputs.heaps, inputs.objects)
+    _record(inputs, heap_set, directory, resume, fingerprint(config.schedule.threads))
+    setup = assemble(config, heap_set, objects)
+    return train(config, setup, directory, resume, progress)
 
 
 def _read(directory: Path) -> dict[str, Any]:
@@ -131,7 +127,7 @@ def _record(
         record = {
             "heaps": _from(directory.resolve(), inputs.heaps.resolve()),
             "heap_set": heap_set.hash,
-            "objects": inputs.objects or str(heap_set.manifest["config"]["objects"]),
+            "objects": inputs.objects or heap_set.objects,
             _HISTORY: [now],
         }
         write_record(file, _PURPOSE, record)

@@ -9,7 +9,7 @@ import pytest
 from mechsearch.actor_critic.collector import Parts
 from mechsearch.actor_critic.learner import LearnerConfig
 from mechsearch.actor_critic.networks import NetworkConfig
-from mechsearch.train.config import TrainConfig
+from mechsearch.training.config import TrainConfig
 from mechsearch.types import TEACHER_KEYS
 
 SIZE = 16

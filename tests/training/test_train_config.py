@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from mechsearch.actor_critic.learner import LearnerConfig
-from mechsearch.train.config import (
+from mechsearch.training.config import (
     PRESETS,
     PushLearningConfig,
     TrainConfig,

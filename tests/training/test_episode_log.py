@@ -4,7 +4,7 @@ import pytest
 from mechsearch.actor_critic.episode_log import EpisodeLog
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import Archive
-from mechsearch.train.log import RunLog
+from mechsearch.training.log import RunLog
 
 INFO = {"end": "uncovered", "occlusion": 0.01, "reward_terms": {"visible": 1.0, "idle": -0.5}}
 

@@ -13,7 +13,7 @@ from mechsearch.actor_critic.policy import load_actor
 from mechsearch.actor_critic.session import Session
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive, save_archive
-from mechsearch.train.loop import train
+from mechsearch.training.loop import train
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 

@@ -1,22 +1,20 @@
-"""Checkpoints of a run: everything that going on needs, in one file, the last two kept."""
+"""A run directory: configuration, policies and checkpoints, of which the last two are kept."""
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from torch import Tensor
-
-from mechsearch.files.layout import CONFIG_FILE, POLICY_FILE
+from mechsearch.algorithm import RunConfig, Tensors
+from mechsearch.files import differences
+from mechsearch.files.layout import CHECKPOINTS_FOLDER, CONFIG_FILE, POLICIES_FOLDER, POLICY_FILE
 from mechsearch.files.tensors import Archive, load_archive, save_archive
-from mechsearch.train.config import TrainConfig, load_config, save_config
-from mechsearch.train.trained import Trained, save_policy
+from mechsearch.training.config import load_config, save_config
+from mechsearch.training.policies import TrainedPolicy, save_policy
 from mechsearch.types import MechSearchError
 
-KIND = "mechsearch checkpoint"
-FORMAT = 2
+CHECKPOINT_KIND = "mechsearch checkpoint"
+CHECKPOINT_FORMAT = 2
 """With the running episode; the first format had none."""
 
 _KEPT = 2
@@ -28,7 +26,7 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def open(self, config: TrainConfig, resume: bool) -> Archive | None:
+    def open(self, config: RunConfig[Any], resume: bool) -> Archive | None:
         """Prepare the directory; return the last checkpoint when resuming.
 
         Raises:
@@ -44,10 +42,14 @@ class RunDirectory:
         _check_same(load_config(file), config, self.path)
         found = self._checkpoints()
         checkpoint = _load(found[-1]) if found else None
-        if checkpoint and config.actions and checkpoint.meta["step"] > config.actions:
+        if (
+            checkpoint
+            and config.schedule.actions
+            and checkpoint.meta["step"] > config.schedule.actions
+        ):
             raise MechSearchError(
                 f"{self.path} has executed {checkpoint.meta['step']} actions already; expected "
-                f"--actions of at least as many, not {config.actions}"
+                f"--actions of at least as many, not {config.schedule.actions}"
             )
         save_config(config, file)
         return checkpoint
@@ -55,7 +57,7 @@ class RunDirectory:
     def save(
         self,
         step: int,
-        tensors: Mapping[str, Tensor],
+        tensors: Tensors,
         meta: Mapping[str, Any],
         logged: int,
     ) -> None:
@@ -67,48 +69,39 @@ class RunDirectory:
             meta: Likewise, as JSON.
             logged: Length of the metrics then [bytes]; see `RunLog`.
         """
-        path = self.path / "checkpoints" / f"step-{step:08d}.safetensors"
-        facts = {"checkpoint": FORMAT, "step": step, "logged": logged, **meta}
-        save_archive(path, Archive(KIND, tensors, facts))
+        path = self.path / CHECKPOINTS_FOLDER / f"step-{step:08d}.safetensors"
+        facts = {"checkpoint": CHECKPOINT_FORMAT, "step": step, "logged": logged, **meta}
+        save_archive(path, Archive(CHECKPOINT_KIND, tensors, facts))
         for old in self._checkpoints()[:-_KEPT]:
             old.unlink()
 
-    def save_actor(self, step: int, policy: Trained) -> None:
+    def save_policy(self, step: int, policy: TrainedPolicy) -> None:
         """Write the policy as it is now, both by step and as the run's last."""
-        for path in (f"actors/step-{step:08d}.safetensors", POLICY_FILE):
+        for path in (f"{POLICIES_FOLDER}/step-{step:08d}.safetensors", POLICY_FILE):
             save_policy(policy, self.path / path)
 
     def _checkpoints(self) -> list[Path]:
-        return sorted((self.path / "checkpoints").glob("step-*.safetensors"))
+        return sorted((self.path / CHECKPOINTS_FOLDER).glob("step-*.safetensors"))
 
 
 def _load(path: Path) -> Archive:
-    checkpoint = load_archive(path, KIND)
+    checkpoint = load_archive(path, CHECKPOINT_KIND)
     found = checkpoint.meta.get("checkpoint", 1)
-    if found != FORMAT:
+    if found != CHECKPOINT_FORMAT:
         raise MechSearchError(
-            f"{path} is a checkpoint of format {found}; this version goes on from format {FORMAT}. "
-            "Finish the run with the version that began it, or begin it anew in another folder"
+            f"{path} is a checkpoint of format {found}; this version goes on from format "
+            f"{CHECKPOINT_FORMAT}. Finish the run with the version that began it, or begin it anew "
+            "in another folder"
         )
     return checkpoint
 
 
-def _check_same(stored: TrainConfig, given: TrainConfig, path: Path) -> None:
-    before, after = asdict(replace(stored, actions=given.actions)), asdict(given)
-    differing = [name for name in after if before[name] != after[name]]
+def _check_same(stored: RunConfig[Any], given: RunConfig[Any], path: Path) -> None:
+    longer = replace(stored.schedule, actions=given.schedule.actions)
+    differing = differences(replace(stored, schedule=longer), given)
     if differing:
-        name = differing[0]
+        name, before, now = differing[0]
         raise MechSearchError(
-            f"{path} holds a run with another {', '.join(differing)}: {name} was {before[name]} "
-            f"and is {after[name]}; only actions may change"
+            f"{path} holds a run with another {', '.join(name for name, *_ in differing)}: {name} "
+            f"was {before} and is {now}; only actions may change"
         )
-
-
-def generator_state(rng: np.random.Generator) -> str:
-    """Return a NumPy generator's state as text."""
-    return json.dumps(rng.bit_generator.state)
-
-
-def restore_generator(rng: np.random.Generator, state: str) -> None:
-    """Set a NumPy generator to a state from `generator_state`."""
-    rng.bit_generator.state = json.loads(state)

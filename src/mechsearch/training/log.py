@@ -7,7 +7,7 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 
 from mechsearch.files import append_line, line_of, naming, read_lines, write_text, write_whole
-from mechsearch.files.layout import METRICS_FILE, SPEED_FILE
+from mechsearch.files.layout import EVENTS_FOLDER, METRICS_FILE, SPEED_FILE
 from mechsearch.files.tensors import Archive
 from mechsearch.types import MechSearchError
 
@@ -29,8 +29,8 @@ class RunLog:
         self._directory = directory
         _cut(directory / METRICS_FILE, size)
         _drop_after(directory / SPEED_FILE, step)
-        events = str(directory / "tensorboard")
-        with naming(directory / "tensorboard"):
+        events = str(directory / EVENTS_FOLDER)
+        with naming(directory / EVENTS_FOLDER):
             self._events = SummaryWriter(events, purge_step=step + 1 if step else None)
 
     @property
@@ -40,24 +40,22 @@ class RunLog:
         return file.stat().st_size if file.exists() else 0
 
     def write(self, kind: str, step: int, values: Mapping[str, Any]) -> None:
-        """Append what was found at a step: text and numbers; numbers become curves."""
-        append_line(self._directory / METRICS_FILE, {"step": step, "kind": kind, **values})
-        self._draw(kind, step, values)
+        """Append what was found at a step: text and numbers; numbers become curves.
 
-    def write_speed(self, step: int, values: Mapping[str, float]) -> None:
-        """Append how fast the machine was."""
-        append_line(self._directory / SPEED_FILE, {"step": step, **values})
-        self._draw("speed", step, values)
-
-    def _draw(self, kind: str, step: int, values: Mapping[str, Any]) -> None:
-        with naming(self._directory / "tensorboard"):
+        What is of the kind "speed" depends on the machine, and has a file of its own.
+        """
+        if kind == "speed":
+            append_line(self._directory / SPEED_FILE, {"step": step, **values})
+        else:
+            append_line(self._directory / METRICS_FILE, {"step": step, "kind": kind, **values})
+        with naming(self._directory / EVENTS_FOLDER):
             for name, value in values.items():
                 if isinstance(value, int | float):
                     self._events.add_scalar(f"{kind}/{name}", value, step)
 
     def close(self) -> None:
         """Finish the TensorBoard file."""
-        with naming(self._directory / "tensorboard"):
+        with naming(self._directory / EVENTS_FOLDER):
             self._events.close()
 
 

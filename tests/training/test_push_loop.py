@@ -10,7 +10,6 @@ from safetensors.torch import save_file
 
 from mechsearch.actor_critic.collector import Parts
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.trial import Rollout
 from mechsearch.files import (
     read_lines,
 )
@@ -18,13 +17,13 @@ from mechsearch.files import (
     tensors as weights,
 )
 from mechsearch.push_values.policy import PushPolicyConfig
-from mechsearch.push_values.session import PushSession, load_episode, outcome_of
-from mechsearch.push_values.value import PushOutcome, PushValueConfig
+from mechsearch.push_values.session import PushSession, load_episode
+from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes import draw_pushes
 from mechsearch.report import curves
-from mechsearch.train.config import PushLearningConfig, preset_config
-from mechsearch.train.push_loop import learn_pushes
-from mechsearch.train.trained import load_policy
+from mechsearch.training.config import PushLearningConfig, preset_config
+from mechsearch.training.push_loop import learn_pushes
+from mechsearch.training.trained import load_policy
 from mechsearch.types import MechSearchError
 
 
@@ -69,18 +68,6 @@ def whole(plus, make_parts, tmp_path_factory):
 
 def lines(run, kind):
     return [record for record in read_lines(run / "metrics.jsonl") if record["kind"] == kind]
-
-
-def test_a_pushs_outcome_is_its_reward_without_idleness_and_nothing_if_it_was_cut_off():
-    terms, some = {"idleness": -1.0, "uncovering": 3.0}, [np.zeros(3, np.float32)] * 2
-    lost = Rollout({}, some, 2.0, terms, 0.1, "lost", 1.0)
-    assert outcome_of(lost) == PushOutcome(3.0, 2, False, 1.0, 0.1)
-    over = outcome_of(replace(lost, end="uncovered", occlusion=0.01))
-    assert over == PushOutcome(3.0, 2, True, 0.01, 0.1)
-    assert outcome_of(replace(lost, end=None)) is not None
-    for end in ("action limit", "failure: unstable"):
-        assert outcome_of(replace(lost, end=end)) is None
-    assert outcome_of(Rollout({})) is None
 
 
 def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(plus, whole):

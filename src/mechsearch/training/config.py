@@ -1,0 +1,124 @@
+"""Configurations of runs: their file, and the named ones of the paper's comparison."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+from mechsearch.actor_critic.algorithm import ActorCritic
+from mechsearch.actor_critic.networks import NetworkConfig
+from mechsearch.algorithm import RunConfig, Schedule
+from mechsearch.entry_point import is_entry_point
+from mechsearch.env.heap_env import TaskConfig, task_from_json
+from mechsearch.files import read_record, record_from_json, write_record
+from mechsearch.push_values.algorithm import PushValues
+from mechsearch.training.algorithms import ALGORITHMS, make_algorithm, name_of
+from mechsearch.types import ACTOR_KEYS, RGB_ACTOR_KEYS, MechSearchError
+
+PURPOSE = "training configuration"
+
+Run = RunConfig[Any]
+
+
+def _presets() -> Mapping[str, Run]:
+    base = ActorCritic()
+    # Directions serve imitation; where there is nobody to imitate, the actor is the paper's.
+    alone = replace(base.learner, network=NetworkConfig(centroid=True))
+    # A spiral's next step follows from where the end effector is. That of a push through the
+    # target does not, unless one knows from where it came, and the actor remembers nothing.
+    drawn = NetworkConfig(directions=True, lengths=True, centroid=True)
+    learner = replace(base.learner, imitation=10.0, mirrors=False, network=drawn)
+    method = replace(base, imitated=("spiral",), learner=learner)
+    ordinary = replace(alone, dropout=0.0, samples=1)
+    debug = replace(method, warmup=20, learner=replace(method.learner, batch=8, samples=5))
+    variants = {
+        "method": method,
+        "ddpg": replace(base, teachers=(), critic_keys=ACTOR_KEYS, learner=ordinary),
+        "no-teachers": replace(base, teachers=(), learner=alone),
+        "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
+        "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
+        "plus": PushValues(),
+        "debug": debug,
+    }
+    presets: dict[str, Run] = {name: RunConfig(name, made) for name, made in variants.items()}
+    short = Schedule(actions=120, evaluate_every=60, checkpoint_every=60, validation_heaps=2)
+    return presets | {"debug": replace(presets["debug"], schedule=short)}
+
+
+PRESETS = _presets()
+"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), and `debug`."""
+
+
+def run_config(name: str) -> Run:
+    """Return the configuration of a preset, or the default one of an algorithm.
+
+    Args:
+        name: In `PRESETS` or `ALGORITHMS`, or `package.module:factory`.
+
+    Raises:
+        MechSearchError: If there is nothing of that name.
+    """
+    if name in PRESETS:
+        return PRESETS[name]
+    if name in ALGORITHMS or is_entry_point(name):
+        return RunConfig(name.rpartition(":")[2], make_algorithm(name))
+    known = ", ".join((*PRESETS, *ALGORITHMS))
+    raise MechSearchError(
+        f"unknown variant {name!r}; choose one of {known}, or package.module:factory"
+    )
+
+
+def save_config(config: Run, path: Path) -> None:
+    """Write a configuration as JSON."""
+    algorithm = {"kind": name_of(config.algorithm), **asdict(config.algorithm)}
+    write_record(path, PURPOSE, {**asdict(config), "algorithm": algorithm})
+
+
+def load_config(path: Path) -> Run:
+    """Read a configuration, of this version or of an earlier one.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged, or has unknown fields.
+    """
+    return config_from_json(read_record(path, PURPOSE, ("name", "seed")))
+
+
+def config_from_json(found: Mapping[str, Any]) -> Run:
+    """Return the configuration that JSON holds; see `load_config`."""
+    if "algorithm" not in found:
+        return _of_earlier_version(found)
+    options = dict(found["algorithm"])
+    kind = type(make_algorithm(str(options.pop("kind", ""))))
+    return RunConfig(
+        str(found["name"]),
+        record_from_json(kind, options),
+        int(found["seed"]),
+        task_from_json(TaskConfig, found["task"]),
+        record_from_json(Schedule, found["schedule"]),
+    )
+
+
+_RETIRED = {"horizon": 1, "target_action": "actor", "pessimism": 0.0, "bfloat16": False}
+"""Options of earlier versions, and the value that each has now."""
+
+
+def _of_earlier_version(found: Mapping[str, Any]) -> Run:
+    """Return a configuration that stood flat in its file, with the options of both algorithms."""
+    pushes = dict(found.get("pushes", {"networks": 0}))
+    made: ActorCritic | PushValues
+    if pushes["networks"]:
+        pushes["candidates"] = pushes.pop("policy")["candidates"]
+        made = record_from_json(PushValues, pushes, {"idleness": TaskConfig().reward.idleness})
+    else:
+        made = record_from_json(ActorCritic, _own(ActorCritic, found), _RETIRED)
+    return RunConfig(
+        str(found["name"]),
+        made,
+        int(found["seed"]),
+        task_from_json(TaskConfig, _own(TaskConfig, found)),
+        record_from_json(Schedule, _own(Schedule, found)),
+    )
+
+
+def _own(kind: type[Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    return {f.name: found[f.name] for f in fields(kind) if f.name in found}

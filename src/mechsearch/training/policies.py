@@ -1,0 +1,94 @@
+"""Trained policies of any algorithm: written by a run, read by `evaluate` and `show`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.algorithm import Algorithm
+from mechsearch.env.heap_env import TaskConfig
+from mechsearch.files.layout import POLICY_FILE
+from mechsearch.files.tensors import Archive, kind_of, load_archive, save_archive
+from mechsearch.training.algorithms import make_algorithm, name_of
+from mechsearch.types import MechSearchError, Observation, Policy
+
+KINDS = {"actor-critic": "mechsearch actor", "push-values": "mechsearch push policy"}
+"""What a file says that it is, where that is not the algorithm's own name."""
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """A policy, with what is known of its training.
+
+    Attributes:
+        policy: What acts.
+        algorithm: What it was learnt by.
+        training_actions: Actions executed in its training.
+        camera: View that it was trained with; empty if it is not known.
+        image_size: Side of its images [px]; 0 likewise.
+    """
+
+    policy: Policy
+    algorithm: Algorithm
+    training_actions: int = 0
+    camera: str = ""
+    image_size: int = 0
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Observation keys that the policy reads."""
+        return self.policy.keys
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self.policy.reset(rng)
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the policy's action (3,)."""
+        return self.policy.act(obs)
+
+
+def trained(policy: Policy, algorithm: Algorithm, actions: int, task: TaskConfig) -> TrainedPolicy:
+    """Return a policy with what is known of its training."""
+    return TrainedPolicy(policy, algorithm, actions, task.camera, task.image_size)
+
+
+def save_policy(trained: TrainedPolicy, path: Path) -> None:
+    """Write a policy to a safetensors file that `load_policy` needs nothing beside."""
+    tensors, facts = trained.algorithm.save(trained.policy)
+    known: dict[str, Any] = {
+        "training_actions": trained.training_actions,
+        "camera": trained.camera,
+        "image_size": trained.image_size,
+    }
+    name = name_of(trained.algorithm)
+    save_archive(path, Archive(KINDS.get(name, name), tensors, {**facts, **known}))
+
+
+def load_policy(path: Path) -> TrainedPolicy:
+    """Read a policy written by `save_policy`.
+
+    Args:
+        path: The file, or a run directory, whose last policy is meant.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or holds something else.
+    """
+    file = path / POLICY_FILE if path.is_dir() else path
+    kind = kind_of(file)
+    try:
+        algorithm = make_algorithm({v: k for k, v in KINDS.items()}.get(kind, kind))
+    except MechSearchError as error:
+        raise MechSearchError(
+            f"{file} holds a {kind}; expected a trained policy: {error}"
+        ) from None
+    archive = load_archive(file, kind)
+    facts = dict(archive.meta)
+    known = {
+        name: facts.pop(name)
+        for name in ("training_actions", "camera", "image_size")
+        if name in facts
+    }
+    return TrainedPolicy(algorithm.load(archive.tensors, facts), algorithm, **known)
