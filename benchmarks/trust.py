@@ -10,7 +10,7 @@ from benchmarks.settings import Settings
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.teachers import Teacher, make_teachers
+from mechsearch.teachers import PAPER_TEACHERS, Teacher, make_teacher
 from mechsearch.types import Floats, select
 
 NOTHING_ASLEEP = replace(PhysicsConfig(), sleep_speed=0.0)
@@ -40,7 +40,8 @@ def measure(settings: Settings) -> Iterator[Figure]:
         return HeapEnv(heaps, workload.object_set, replace(base, physics=physics))
 
     ours, reference = env(PhysicsConfig()), env(REFERENCE)
-    for name, teacher in make_teachers().items():
+    for name in PAPER_TEACHERS:
+        teacher = make_teacher(name)
         scores = np.array([_scores(one, teacher, len(heaps)) for one in (ours, reference)])
         difference = scores[0] - scores[1]
         half = 1.96 * float(difference.std(ddof=1)) / np.sqrt(len(heaps))
@@ -68,7 +69,7 @@ def _scores(env: HeapEnv, teacher: Teacher, number: int) -> Floats:
 def _overlaps(env: HeapEnv, number: int) -> tuple[Floats, Floats]:
     """Return the overlap [m] of all contacts after each action, and half a second after a reset."""
     pushed, resting = [], []
-    teachers = list(make_teachers().values())
+    teachers = [make_teacher(name) for name in PAPER_TEACHERS]
     for i in range(number):
         obs, _ = env.reset(options={"heap": i, "fixed_start": True})
         teacher = teachers[i % 3]

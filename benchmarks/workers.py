@@ -15,7 +15,7 @@ from benchmarks.settings import Settings
 from benchmarks.workload import Workload
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.rollout import run_episode
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import make_teacher
 
 PEER = "1 worker"
 
@@ -60,7 +60,7 @@ def _work(workload: Workload, seed: int, seconds: float, barrier: Barrier, answe
     heaps = workload.heaps(15, 24)
     config = HeapEnvConfig(privileged=True, camera=workload.heap_set.camera)
     env = HeapEnv(heaps, workload.object_set, config)
-    teacher = make_teachers()["zigzag"]
+    teacher = make_teacher("zigzag")
     run_episode(teacher, env, 0, seed)
     barrier.wait(timeout=300)
     began, actions, heap = time.perf_counter(), 0, 0

@@ -16,7 +16,7 @@ from mechsearch.heaps.dataset import HeapSet, load, save
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.catalog import load_object_set, set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import PAPER_TEACHERS, make_teacher
 from mechsearch.types import ACTION_LENGTH, Array, Floats
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -110,7 +110,7 @@ class Workload:
             keys=("ee_position",), privileged=True, camera=self.heap_set.camera, max_actions=LONGEST
         )
         env = HeapEnv(heaps, self.object_set, config)
-        teachers = list(make_teachers().values())
+        teachers = [make_teacher(name) for name in PAPER_TEACHERS]
         records = [run_episode(teachers[i % 3], env, i) for i in range(len(heaps))]
         return [
             Episode(heap, self.models(heap), record.actions, record.ee_positions, record.poses)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 import gymnasium
 
 from mechsearch.env.heap_env import TaskConfig
+from mechsearch.teachers import Teacher
 from mechsearch.types import Array, MechSearchError, Policy
 
 if TYPE_CHECKING:
@@ -48,16 +49,6 @@ class Env(Protocol):
         """Go on from a snapshot, bit by bit; return its observation."""
 
 
-class Guide(Policy, Protocol):
-    """A policy that can be kept in the middle of an episode."""
-
-    def state(self) -> dict[str, Any]:
-        """Return all that its next actions depend on besides what it sees, as JSON."""
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take back what `state` returned."""
-
-
 @dataclass(frozen=True)
 class TrainingSetup:
     """What a run is given, ready-made.
@@ -71,7 +62,7 @@ class TrainingSetup:
 
     env: Env
     heaps: Sequence[int]
-    teachers: Mapping[str, Guide]
+    teachers: Mapping[str, Teacher]
     evaluators: Mapping[str, Evaluator]
 
 

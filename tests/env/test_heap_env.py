@@ -4,7 +4,7 @@ from gymnasium.utils.env_checker import check_env
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.observe.position_image import position_image
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import make_teacher
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
 
 FIXED = {"heap": 0, "fixed_start": True}
@@ -73,7 +73,7 @@ def test_the_pusher_changes_neither_occlusion_nor_reward_but_hides_the_target(en
 
 
 def test_a_teacher_uncovers_and_the_episode_terminates(env):
-    teacher = make_teachers()["straight"]
+    teacher = make_teacher("straight")
     teacher.reset(np.random.default_rng(0))
     obs, _ = env.reset(options=FIXED)
     for _ in range(50):

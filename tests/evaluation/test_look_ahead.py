@@ -6,11 +6,18 @@ import pytest
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.register import embedded_heaps
-from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig, LookAheadPolicy, Planner
+from mechsearch.env.trial import imageless
+from mechsearch.evaluation.look_ahead import (
+    LookAheadConfig,
+    LookAheadPolicy,
+    Planner,
+    plan_push,
+)
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
 from mechsearch.heaps.dataset import save
-from mechsearch.teachers import make_teachers
+from mechsearch.pushes import spiral, straight, zigzag
+from mechsearch.teachers import PushTeacher
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +50,17 @@ def env(covered, boxes) -> HeapEnv:
     return env
 
 
-def test_the_plan_is_at_least_as_good_as_every_teachers_push_it_tried(env, covered, boxes) -> None:
+def test_the_plan_is_at_least_as_good_as_every_teachers_push_it_tried(env) -> None:
     snapshot = env.snapshot()
     config = LookAheadConfig(directions=4, gentleness=0.0, tolerance=0.0)
-    plan = LookAhead([covered], boxes, env.config, config).plan(snapshot, 0)
+    plan = plan_push(imageless(env), snapshot, 0, config)
     env.restore(snapshot)
     planned = sum(env.step(action)[1] for action in plan.actions)
     assert env.state.occlusion <= 0.02
     tried = 0
     for i in range(4):
-        for teacher in make_teachers(np.pi / 2 * i).values():
+        for shape in (straight, zigzag, spiral):
+            teacher = PushTeacher(shape, np.pi / 2 * i)
             teacher.reset(np.random.default_rng([0, i]))
             obs, total, over = env.restore(snapshot), 0.0, False
             while not over:
@@ -62,13 +70,13 @@ def test_the_plan_is_at_least_as_good_as_every_teachers_push_it_tried(env, cover
     assert len(plan.actions) < plan.simulated_actions <= tried
 
 
-def test_among_equals_the_push_that_sets_out_for_the_target_is_taken(env, covered, boxes) -> None:
+def test_among_equals_the_push_that_sets_out_for_the_target_is_taken(env) -> None:
     snapshot = env.snapshot()
     obs = env.restore(snapshot)
 
     def directness(tolerance: float) -> float:
         config = LookAheadConfig(tolerance=tolerance, margin=1e9)
-        plan = LookAhead([covered], boxes, env.config, config).plan(snapshot, 0)
+        plan = plan_push(imageless(env), snapshot, 0, config)
         return float(plan.actions[0] @ obs["target_offset"])
 
     assert directness(10.0) >= directness(1.0) >= directness(0.0)
@@ -80,8 +88,8 @@ def test_it_is_no_worse_than_the_pushes_it_tries(covered, boxes) -> None:
     env = HeapEnv([covered], boxes, HeapEnvConfig(keys=("ee_position",)))
     reward = run(policy, env, [0])[0].rewards.sum()
     watched = HeapEnv([covered], boxes, replace(env.config, privileged=True))
-    for teacher in make_teachers(np.pi / 2).values():
-        assert reward >= run(teacher, watched, [0])[0].rewards.sum() - 1e-9
+    for shape in (straight, zigzag, spiral):
+        assert reward >= run(PushTeacher(shape, np.pi / 2), watched, [0])[0].rewards.sum() - 1e-9
 
 
 def test_simulated_actions_are_counted_apart_whatever_the_number_of_workers(heap_file) -> None:

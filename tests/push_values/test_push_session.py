@@ -18,9 +18,8 @@ from mechsearch.files import (
     tensors as weights,
 )
 from mechsearch.push_values.session import PushValuesSession, load_episode
-from mechsearch.push_values.tries import Trials, carry_out
 from mechsearch.push_values.value import PushValueConfig
-from mechsearch.pushes import draw_pushes, look
+from mechsearch.pushes import draw_pushes
 from mechsearch.report import curves
 from mechsearch.training.config import run_config
 from mechsearch.training.loop import train
@@ -78,32 +77,6 @@ def begun(config, make_env):
 
 def lines(run, kind):
     return [record for record in read_lines(run / "metrics.jsonl") if record["kind"] == kind]
-
-
-def test_a_push_tried_from_a_snapshot_goes_as_it_goes_when_executed(make_env):
-    """The trial sees no images; its outcome is the executed one's to the last bit."""
-    env = make_env()
-    obs, _ = env.reset(seed=1, options={"heap": 0})
-    sight = look(obs, env._observer.camera)
-    for push in draw_pushes(4, np.random.default_rng(2)):
-        snapshot = env.snapshot()
-        tried = Trials(env).attempt(snapshot, push, sight)
-        executed = carry_out(env, env.restore(snapshot), push, sight)
-        assert tried.outcome == executed.outcome
-        assert tried.outcome is not None
-        env.restore(snapshot)
-
-
-def test_a_trial_is_not_cut_off_by_the_episodes_length_and_an_executed_push_is(make_env):
-    env = make_env()
-    obs, _ = env.reset(seed=1, options={"heap": 0})
-    sight = look(obs, env._observer.camera)
-    for _ in range(19):
-        obs, *_ = env.step(np.zeros(3, np.float32))
-    push, snapshot = draw_pushes(1, np.random.default_rng(2))[0], env.snapshot()
-    assert Trials(env).attempt(snapshot, push, sight).outcome is not None
-    cut = carry_out(env, obs, push, sight)
-    assert (cut.end, cut.actions, cut.outcome) == ("action limit", 1, None)
 
 
 def test_a_run_executes_its_actions_counts_trials_apart_and_fits_as_it_goes(plus, whole):

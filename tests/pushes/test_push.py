@@ -11,15 +11,15 @@ CENTRE = np.array([0.1, -0.05, 0.04])
 
 def test_a_straight_push_passes_the_target_at_its_side_from_before_to_after():
     push = Push("straight", np.pi / 2, lateral=0.03, before=0.08, after=0.12)
-    first, last = push.path(CENTRE, 0.02)
+    first, last = push.path(CENTRE)
     # Ahead is +y, to the left of it is -x.
-    np.testing.assert_allclose(first, [0.07, -0.13, 0.02], atol=1e-12)
-    np.testing.assert_allclose(last, [0.07, 0.07, 0.02], atol=1e-12)
+    np.testing.assert_allclose(first, [0.07, -0.13], atol=1e-12)
+    np.testing.assert_allclose(last, [0.07, 0.07], atol=1e-12)
 
 
 def test_a_spiral_winds_out_from_the_target_by_5_5_cm_a_turn():
-    way = np.array(Push("spiral", 0.4, turns=1.5).path(CENTRE, 0.02))
-    offsets = way[:, :2] - CENTRE[:2]
+    way = Push("spiral", 0.4, turns=1.5).path(CENTRE)
+    offsets = way - CENTRE[:2]
     radii = np.linalg.norm(offsets, axis=1)
     angles = np.unwrap(np.arctan2(offsets[:, 1], offsets[:, 0]))
     assert radii[0] == pytest.approx(0.02)
@@ -31,19 +31,19 @@ def test_a_spiral_winds_out_from_the_target_by_5_5_cm_a_turn():
 
 def test_a_mirrored_spiral_is_the_mirror_image_at_its_direction():
     angle = 0.7
-    left = np.array(Push("spiral", angle, turns=1.0).path(CENTRE, 0.02))
-    right = np.array(Push("spiral", angle, turns=1.0, mirrored=True).path(CENTRE, 0.02))
+    left = Push("spiral", angle, turns=1.0).path(CENTRE)
+    right = Push("spiral", angle, turns=1.0, mirrored=True).path(CENTRE)
     along = np.array([np.cos(angle), np.sin(angle)])
-    offsets = left[:, :2] - CENTRE[:2]
+    offsets = left - CENTRE[:2]
     mirror = 2 * np.outer(offsets @ along, along) - offsets
-    np.testing.assert_allclose(right[:, :2] - CENTRE[:2], mirror, atol=1e-12)
+    np.testing.assert_allclose(right - CENTRE[:2], mirror, atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_random_pushes_stay_near_the_target_and_above_the_table(seed):
     for push in draw_pushes(5, np.random.default_rng(seed)):
-        way = np.array(push.path(CENTRE, 0.02))
-        assert np.linalg.norm(way[:, :2] - CENTRE[:2], axis=1).max() < 0.35
+        way = push.path(CENTRE)
+        assert np.linalg.norm(way - CENTRE[:2], axis=1).max() < 0.35
         assert -0.012 <= push.height <= 0.035
 
 

@@ -24,13 +24,11 @@ from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.actor_critic.replay import Replay
 from mechsearch.algorithm import Env, Line, RunConfig, Tensors, TrainingSetup, at_least
 from mechsearch.files.tensors import part, prefixed
+from mechsearch.teachers import PAPER_TEACHERS, check_teacher
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, Array, MechSearchError
 
 CRITIC_KEYS = ("ee_position", "target_offset", "clutter_offsets")
 """What the asymmetric critic reads (paper, III-C); removed and missing objects are zeros."""
-
-TEACHER_NAMES = ("straight", "zigzag", "spiral")
-"""The paper's teachers."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class ActorCriticConfig:
     Attributes:
         actor_keys: What the actor sees.
         critic_keys: What the critic sees; the actor's keys make it symmetric.
-        teachers: Who guides: "straight", "zigzag", "spiral", or package.module:factory; empty is
+        teachers: Who guides: names in `teachers.TEACHERS`, or package.module:factory; empty is
             unguided.
         imitated: Those of the teachers whose actions the actor is drawn to; empty is all.
         updates_per_action: Gradient steps for each action.
@@ -54,7 +52,7 @@ class ActorCriticConfig:
 
     actor_keys: tuple[str, ...] = ACTOR_KEYS
     critic_keys: tuple[str, ...] = CRITIC_KEYS
-    teachers: tuple[str, ...] = TEACHER_NAMES
+    teachers: tuple[str, ...] = PAPER_TEACHERS
     imitated: tuple[str, ...] = ()
     updates_per_action: float = 1.0
     block: int = 4
@@ -67,6 +65,8 @@ class ActorCriticConfig:
     def __post_init__(self) -> None:
         at_least(0, self, "updates_per_action", "warmup")
         at_least(1, self, "block", "replay_rows")
+        for name in self.teachers:
+            check_teacher(name)
         strangers = [name for name in self.imitated if name not in self.teachers]
         if strangers:
             raise MechSearchError(

@@ -4,18 +4,23 @@ It needs snapshots of the simulator, which no robot has: it shows how well pushe
 actions are simulated, not executed, and are counted apart.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.heaps.heap import Heap
-from mechsearch.objects.model import ObjectSet
-from mechsearch.teachers import Teacher, make_teachers
-from mechsearch.types import TEACHER_KEYS, Array, Observation, Policy, select
+from mechsearch.env.heap_env import HeapEnv
+from mechsearch.env.trial import Rollout, imageless, roll_out
+from mechsearch.pushes import spiral, straight, zigzag
+from mechsearch.teachers import PushTeacher
+from mechsearch.types import Array, Observation, Policy
+
+SHAPES = (straight, zigzag, spiral)
+"""What is tried: pushes of the paper's three teachers."""
+
+WITHOUT_SUCCESS = 100.0
+"""What a trial that does not uncover the target is behind those that do."""
 
 
 @dataclass(frozen=True)
@@ -29,25 +34,6 @@ class Plan:
 
     actions: NDArray[np.float32]
     simulated_actions: int
-
-
-WITHOUT_SUCCESS = 100.0
-"""What a trial that does not uncover the target is behind those that do."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One push that was tried.
-
-    Attributes:
-        actions: As executed (T, 3).
-        score: Reward less the cost of moving clutter; low without success.
-        directness: Cosine between the first action and the way to the target.
-    """
-
-    actions: NDArray[np.float32]
-    score: float
-    directness: float
 
 
 @dataclass(frozen=True)
@@ -69,58 +55,40 @@ class LookAheadConfig:
     tolerance: float = 1.0
 
 
-class LookAhead:
-    """Plans from snapshots of an environment over the same heaps."""
+def plan_push(
+    twin: HeapEnv, snapshot: dict[str, Array], seed: int, config: LookAheadConfig
+) -> Plan:
+    """Return the best push from a snapshot taken by `HeapEnv.snapshot`.
 
-    def __init__(
-        self,
-        heaps: Sequence[Heap],
-        objects: ObjectSet,
-        env: HeapEnvConfig,
-        config: LookAheadConfig | None = None,
-    ) -> None:
-        """Prepare an imageless twin of the environment."""
-        twin = replace(env, keys=TEACHER_KEYS, privileged=True)
-        self._env = HeapEnv(heaps, objects, twin)
-        self.config = config or LookAheadConfig()
+    Args:
+        twin: An `imageless` copy of the snapshot's environment.
+        snapshot: Where to start; actions already taken count.
+        seed: Of what teachers do after their first push.
+        config: How far to look.
+    """
 
-    def plan(self, snapshot: dict[str, Array], seed: int) -> Plan:
-        """Return the best push from a snapshot taken by `HeapEnv.snapshot`.
+    def score(rollout: Rollout) -> float:
+        return rollout.reward - config.gentleness * rollout.clutter_moved
 
-        Args:
-            snapshot: Where to start; actions already taken count.
-            seed: Of what teachers do after their first push.
-        """
-        trials: list[Trial] = []
-        best = -np.inf
-        for i in range(self.config.directions):
-            direction = 2 * np.pi * i / self.config.directions
-            for teacher in make_teachers(direction).values():
-                teacher.reset(np.random.default_rng([seed, i]))
-                trials.append(self._try(snapshot, teacher, best - self.config.margin))
-                best = max(best, trials[-1].score)
-        near = [trial for trial in trials if trial.score >= best - self.config.tolerance]
-        chosen = max(near, key=lambda trial: trial.directness)
-        return Plan(chosen.actions, sum(len(trial.actions) for trial in trials))
+    def is_hopeless(rollout: Rollout) -> bool:
+        return score(rollout) < best - config.margin
 
-    def _try(self, snapshot: dict[str, Array], teacher: Teacher, give_up: float) -> Trial:
-        """Execute one push in the simulator; one whose score falls below `give_up` is cut short."""
-        obs = self._env.restore(snapshot)
-        towards = obs["target_offset"] / max(float(np.linalg.norm(obs["target_offset"])), 1e-6)
-        actions: list[NDArray[np.float32]] = []
-        score = 0.0
-        end: str | None = None
-        while end is None:
-            action = teacher.act(select(obs, teacher.keys))
-            obs, reward, _, _, info = self._env.step(action)
-            actions.append(action)
-            score += reward - self.config.gentleness * info["clutter_moved"]
-            end = "given up" if score < give_up else info["end"]
-        if end != "uncovered":
+    offset = twin.restore(snapshot)["target_offset"]
+    towards = offset / max(float(np.linalg.norm(offset)), 1e-6)
+    tried: list[tuple[float, NDArray[np.float32]]] = []
+    best = -np.inf
+    for i in range(config.directions):
+        for shape in SHAPES:
+            teacher = PushTeacher(shape, 2 * np.pi * i / config.directions)
+            teacher.reset(np.random.default_rng([seed, i]))
+            rollout = roll_out(twin, twin.restore(snapshot), teacher.act, is_hopeless)
             # No success: a failed simulation must not be chosen for the penalties it escaped.
-            score -= WITHOUT_SUCCESS
-        directness = float(actions[0] @ towards)
-        return Trial(np.array(actions, np.float32), score, directness)
+            behind = 0.0 if rollout.end == "uncovered" else WITHOUT_SUCCESS
+            tried.append((score(rollout) - behind, np.array(rollout.actions, np.float32)))
+            best = max(best, tried[-1][0])
+    near = [actions for value, actions in tried if value >= best - config.tolerance]
+    chosen = max(near, key=lambda actions: float(actions[0] @ towards))
+    return Plan(chosen, sum(len(actions) for _, actions in tried))
 
 
 @runtime_checkable
@@ -141,7 +109,7 @@ class LookAheadPolicy:
 
     def __init__(self, config: LookAheadConfig | None = None) -> None:
         """Set how far to look."""
-        self._config = config
+        self._config = config or LookAheadConfig()
         self._env: HeapEnv | None = None
         self.simulated_actions = 0
 
@@ -153,9 +121,8 @@ class LookAheadPolicy:
     def plan(self, env: HeapEnv) -> None:
         """Try every push from where the environment is."""
         if env is not self._env:
-            self._look_ahead = LookAhead(env.heaps, env.objects, env.config, self._config)
-            self._env = env
-        plan = self._look_ahead.plan(env.snapshot(), env.heap.seed)
+            self._env, self._twin = env, imageless(env)
+        plan = plan_push(self._twin, env.snapshot(), env.heap.seed, self._config)
         self._actions = list(plan.actions[::-1])
         self.simulated_actions = plan.simulated_actions
 

@@ -14,7 +14,7 @@ from mechsearch.evaluation.look_ahead import LookAheadPolicy
 from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
 from mechsearch.files import read_record
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import TEACHERS, make_teacher
 from mechsearch.types import MechSearchError, Observation, Policy
 
 TRAINED_LOADER = "mechsearch.training.policies:load_policy"
@@ -57,16 +57,16 @@ class IdlePolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Return the names of the built-in baselines, which plan nothing."""
-    return ("random", "idle", *(f"teacher-{name}" for name in make_teachers()))
+    return ("random", "idle", *(f"teacher-{name}" for name in TEACHERS))
 
 
 def make_policy(spec: str) -> Policy:
     """Return the policy that a text names.
 
     Args:
-        spec: "random", "idle", "teacher-straight", "teacher-zigzag", "teacher-spiral" or
-            "look-ahead"; "single" or "dual", the trained policies that are shipped; a run
-            directory, whose last policy is meant, or one policy's file (.safetensors); or
+        spec: "random", "idle", "look-ahead", or "teacher-" and a name in `teachers.TEACHERS`;
+            "single" or "dual", the trained policies that are shipped; a run directory, whose last
+            policy is meant, or one policy's file (.safetensors); or
             `package.module:factory`, a function without arguments, or a class, that returns a
             `mechsearch.types.Policy`.
 
@@ -79,9 +79,8 @@ def make_policy(spec: str) -> Policy:
         return IdlePolicy()
     if spec == LOOK_AHEAD:
         return LookAheadPolicy()
-    teachers = make_teachers()
-    if spec.removeprefix("teacher-") in teachers and spec.startswith("teacher-"):
-        return teachers[spec.removeprefix("teacher-")]
+    if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:
+        return make_teacher(spec.removeprefix("teacher-"))
     if spec in SHIPPED:
         return _trained(shipped_file(spec))
     if _is_file_of_run(spec):

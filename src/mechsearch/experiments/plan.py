@@ -18,12 +18,13 @@ from mechsearch.files import (
 from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
+from mechsearch.teachers import PAPER_TEACHERS
 from mechsearch.training.assemble import SHIPPED_NETWORK
 from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
 
 VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
-REFERENCES = (*policy_names(), LOOK_AHEAD)
+REFERENCES = ("random", "idle", *(f"teacher-{name}" for name in PAPER_TEACHERS), LOOK_AHEAD)
 
 
 def _check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
@@ -80,7 +81,7 @@ class SweepPlan:
         _check_names("condition", self.conditions, tuple(CONDITIONS))
         _check_names("variant", self.variants, VARIANTS)
         _check_names("variant", self.curve_grasps, VARIANTS)
-        _check_names("reference", self.references, REFERENCES)
+        _check_names("reference", self.references, (*policy_names(), LOOK_AHEAD))
         if not self.conditions:
             raise MechSearchError(f"no condition is named; choose among {', '.join(CONDITIONS)}")
         if len(set(self.seeds)) < len(self.seeds) or any(seed < 0 for seed in self.seeds):

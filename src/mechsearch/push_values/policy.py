@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import preset
 from mechsearch.push_values.value import Continuation, PushValue
-from mechsearch.pushes import Push, PushFollower, Sight, draw_pushes, look, view_pushes
+from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])
@@ -64,18 +64,17 @@ class PushPolicy:
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; candidates come from `rng`."""
         self._rng = rng
-        self._follower: PushFollower | None = None
+        self._push: PlannedPush | None = None
         self._last_seen = _UNSEEN
 
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the next action (3,) of the present push, or of a new one."""
-        ee = np.asarray(obs["ee_position"], np.float64)
-        action = None if self._follower is None else self._follower.next(ee)
+        action = None if self._push is None else self._push.act(obs)
         if action is None:
             sight = self.see(obs)
             pushes = draw_pushes(self.config.candidates, self._rng)
-            self._follower = PushFollower(pushes[self.best(pushes, sight)], sight)
-            action = self._follower.next(ee)
+            self._push = PlannedPush(pushes[self.best(pushes, sight)], sight)
+            action = self._push.act(obs)
         return np.zeros(3, np.float32) if action is None else action
 
     def see(self, obs: Observation) -> Sight:

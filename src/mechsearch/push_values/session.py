@@ -11,10 +11,10 @@ import torch
 
 from mechsearch.algorithm import Line, RunConfig, Tensors, TrainingSetup, at_least
 from mechsearch.env.heap_env import HeapEnv
+from mechsearch.env.trial import Rollout, from_start, imageless, roll_out
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
-from mechsearch.push_values.tries import Course, Trials, carry_out
 from mechsearch.push_values.value import (
     Continuation,
     PushOutcome,
@@ -25,7 +25,7 @@ from mechsearch.push_values.value import (
     networks_of,
     tensors_of,
 )
-from mechsearch.pushes import Push, Sight, draw_pushes, view_pushes
+from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, view_pushes
 from mechsearch.types import Array, MechSearchError
 
 EPISODES_FOLDER = "pushes"
@@ -110,7 +110,7 @@ class PushValuesSession:
         self.config: PushValuesConfig = run.algorithm
         self._run, self._folder = run, folder / EPISODES_FOLDER
         self._env, self._heaps = setup.env, setup.heaps
-        self._trials = Trials(self._env)
+        self._twin = imageless(self._env)
         self.counts = {"executed": 0, "simulated": 0, "episodes": 0, "fits": 0}
         self._rng = np.random.default_rng(run.seed)
         self._samples: list[PushSamples] = []
@@ -150,17 +150,18 @@ class PushValuesSession:
         heap, seed = int(self._rng.choice(self._heaps)), int(self._rng.integers(2**31))
         obs, _ = self._env.reset(seed=seed, options={"heap": heap})
         self.policy.reset(self._rng)
-        samples, courses = [], [Course(obs)]
-        while courses[-1].end is None:
-            sight = self.policy.see(courses[-1].obs)
+        samples, rollouts = [], [Rollout(obs)]
+        while rollouts[-1].end is None:
+            sight = self.policy.see(rollouts[-1].obs)
             pushes = self._choose(sight)
             tried = self._try(self._env.snapshot(), pushes[1:], sight)
-            courses.append(carry_out(self._env, courses[-1].obs, pushes[0], sight))
-            samples.append(_samples(pushes, sight, [courses[-1], *tried]))
-            self.counts["executed"] += courses[-1].actions
+            push = PlannedPush(pushes[0], sight)
+            rollouts.append(roll_out(self._env, rollouts[-1].obs, push.act))
+            samples.append(_samples(pushes, sight, [rollouts[-1], *tried]))
+            self.counts["executed"] += len(rollouts[-1].actions)
         self.counts["episodes"] += 1
         return EpisodeOfPushes(
-            PushSamples.joined(samples), _followed(courses[1:]), _summary(heap, courses[1:])
+            PushSamples.joined(samples), _followed(rollouts[1:]), _summary(heap, rollouts[1:])
         )
 
     def _choose(self, sight: Sight) -> list[Push]:
@@ -181,10 +182,13 @@ class PushValuesSession:
 
     def _try(
         self, snapshot: dict[str, Array], pushes: Sequence[Push], sight: Sight
-    ) -> list[Course]:
-        courses = [self._trials.attempt(snapshot, push, sight) for push in pushes]
-        self.counts["simulated"] += sum(course.actions for course in courses)
-        return courses
+    ) -> list[Rollout]:
+        rollouts = []
+        for push in pushes:
+            obs = self._twin.restore(from_start(snapshot))
+            rollouts.append(roll_out(self._twin, obs, PlannedPush(push, sight).act))
+        self.counts["simulated"] += sum(len(rollout.actions) for rollout in rollouts)
+        return rollouts
 
     def remember(self, episode: EpisodeOfPushes) -> None:
         """Learn from an episode at the next fit."""
@@ -234,19 +238,33 @@ class PushValuesSession:
             self.remember(load_episode(self._file(number)))
 
 
-def _samples(pushes: Sequence[Push], sight: Sight, courses: Sequence[Course]) -> PushSamples:
+def outcome_of(rollout: Rollout) -> PushOutcome | None:
+    """Return what is learnt from a push; nothing where it was cut off or the simulator failed."""
+    if not rollout.actions or rollout.end not in (None, "uncovered", "lost"):
+        return None
+    return PushOutcome(
+        rollout.reward - rollout.terms["idleness"],
+        len(rollout.actions),
+        rollout.end == "uncovered",
+        min(rollout.occlusion, 1.0),
+        rollout.clutter_moved,
+    )
+
+
+def _samples(pushes: Sequence[Push], sight: Sight, rollouts: Sequence[Rollout]) -> PushSamples:
     learnt: list[tuple[Push, PushOutcome]] = []
-    for push, course in zip(pushes, courses, strict=True):
-        if course.outcome is not None:
-            learnt.append((push, course.outcome))
+    for push, rollout in zip(pushes, rollouts, strict=True):
+        outcome = outcome_of(rollout)
+        if outcome is not None:
+            learnt.append((push, outcome))
     views = view_pushes([push for push, _ in learnt], sight)
     return PushSamples.of(views, [outcome for _, outcome in learnt])
 
 
-def _followed(courses: Sequence[Course]) -> torch.Tensor:
-    rewards = np.array([course.reward for course in courses])
+def _followed(rollouts: Sequence[Rollout]) -> torch.Tensor:
+    rewards = np.array([rollout.reward for rollout in rollouts])
     after = rewards[::-1].cumsum()[::-1] - rewards
-    rows = [(c.occlusion, r) for c, r in zip(courses, after, strict=True) if c.end is None]
+    rows = [(c.occlusion, r) for c, r in zip(rollouts, after, strict=True) if c.end is None]
     return torch.tensor(rows, dtype=torch.float32).reshape(-1, 2)
 
 
@@ -259,16 +277,16 @@ def _continuation(followed: torch.Tensor) -> Continuation:
     return Continuation(float(at_once), float(max(-slope, 0.0)))
 
 
-def _summary(heap: int, courses: Sequence[Course]) -> dict[str, Any]:
+def _summary(heap: int, rollouts: Sequence[Rollout]) -> dict[str, Any]:
     terms = {
-        f"term_{name}": float(sum(course.terms[name] for course in courses))
-        for name in courses[0].terms
+        f"term_{name}": float(sum(rollout.terms[name] for rollout in rollouts))
+        for name in rollouts[0].terms
     }
     return {
         "heap": heap,
-        "end": courses[-1].end,
-        "actions": sum(course.actions for course in courses),
-        "pushes": len(courses),
+        "end": rollouts[-1].end,
+        "actions": sum(len(rollout.actions) for rollout in rollouts),
+        "pushes": len(rollouts),
         "return": sum(terms.values()),
         **terms,
     }

@@ -1,19 +1,34 @@
-"""Pushes that a camera can choose among: straight and spiral, seen from images alone."""
+"""Pushes: their shapes, the route that carries one out, and how one looks to a camera."""
 
-from mechsearch.pushes.follow import PushFollower
-from mechsearch.pushes.push import KINDS, Push, draw_pushes
+from mechsearch.pushes.push import KINDS, Push, Shape, draw_pushes, spiral, straight, zigzag
+from mechsearch.pushes.route import PlannedPush, Route, RouteConfig
 from mechsearch.pushes.sight import Sight, look
-from mechsearch.pushes.view import NUMBERS, PATCH, PushViews, view_pushes
+from mechsearch.pushes.view import (
+    MIRRORED_NUMBERS,
+    NUMBERS,
+    PATCH,
+    STRAIGHT_NUMBER,
+    PushViews,
+    view_pushes,
+)
 
 __all__ = [
     "KINDS",
+    "MIRRORED_NUMBERS",
     "NUMBERS",
     "PATCH",
+    "STRAIGHT_NUMBER",
+    "PlannedPush",
     "Push",
-    "PushFollower",
     "PushViews",
+    "Route",
+    "RouteConfig",
+    "Shape",
     "Sight",
     "draw_pushes",
     "look",
+    "spiral",
+    "straight",
     "view_pushes",
+    "zigzag",
 ]

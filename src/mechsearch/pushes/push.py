@@ -1,17 +1,58 @@
-"""A push as numbers: the teachers' shapes, with their place, length and height left open."""
+"""Shapes of pushes (paper, section III-C), and pushes that vary their place and length."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from mechsearch.teachers.spiral import INNER, OUTER, POINTS, TURNS
 from mechsearch.types import Floats, MechSearchError
 
+Shape = Callable[[Floats, float], Floats]
+"""Returns the waypoints (N, 2) [m] of a push about a point (2,) [m], in a direction [rad]."""
+
+REACH = 0.15
+"""Horizontal distance from the target at which a teacher's push begins and ends [m]."""
+
+AMPLITUDE, STROKES = 0.035, 6
+"""Sideways reach of a zig-zag's stroke [m], and their number."""
+
+INNER, OUTER, SPIRAL_TURNS, SPIRAL_POINTS = 0.02, 0.13, 2.0, 20
+"""First and last radius of a teacher's spiral [m], its turns, and its waypoints."""
+
+
+def straight(
+    middle: Floats, direction: float, before: float = REACH, after: float = REACH
+) -> Floats:
+    """Return both ends (2, 2) of a line through `middle` (2,), from `before` to `after` it [m]."""
+    return middle + np.outer([-before, after], _unit(direction))
+
+
+def zigzag(middle: Floats, direction: float, reach: float = REACH) -> Floats:
+    """Return the corners (N, 2) of strokes from side to side of such a line."""
+    along = _unit(direction)
+    across = np.array([-along[1], along[0]])
+    sides = AMPLITUDE * np.array([0, *(-1) ** np.arange(1, STROKES), 0])
+    ways = np.linspace(-reach, reach, STROKES + 1)
+    return middle + np.outer(ways, along) + np.outer(sides, across)
+
+
+def spiral(
+    middle: Floats, direction: float, turns: float = SPIRAL_TURNS, mirrored: bool = False
+) -> Floats:
+    """Return points (N, 2) outwards from near `middle`, counter-clockwise if not `mirrored`."""
+    turned = np.linspace(0, turns, max(round(turns / SPIRAL_TURNS * SPIRAL_POINTS), 3))
+    radii = INNER + (OUTER - INNER) / SPIRAL_TURNS * turned
+    angles = direction + (-2 if mirrored else 2) * np.pi * turned
+    return middle + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
+
+
+def _unit(direction: float) -> Floats:
+    return np.array([np.cos(direction), np.sin(direction)])
+
+
 KINDS = ("straight", "spiral")
-"""Shapes of a push, named after the teachers (paper, section III-C). Of random pushes on YCB heaps,
-zig-zags were the best of six a third less often than they were drawn, and spirals half as often
-again."""
+"""Shapes to choose among. Of random pushes on YCB heaps, zig-zags were the best of six a third less
+often than they were drawn, and spirals half as often again."""
 
 _STRAIGHT_SHARE = 0.7
 
@@ -54,33 +95,21 @@ class Push:
     @property
     def axes(self) -> tuple[Floats, Floats]:
         """The push's own axes (2,) each: along it, and to the left, or right where mirrored."""
-        along = np.array([np.cos(self.direction), np.sin(self.direction)])
+        along = _unit(self.direction)
         side = -1.0 if self.mirrored else 1.0
         return along, side * np.array([-along[1], along[0]])
 
     def middle(self, centre: Floats) -> Floats:
         """Return the point (2,) [m] that it passes beside or through a target at `centre`."""
-        along, _ = self.axes
+        along = _unit(self.direction)
         return centre[:2] + self.lateral * np.array([-along[1], along[0]])
 
-    def path(self, centre: Floats, height: float) -> Sequence[Floats]:
-        """Return its waypoints (3,) [m].
-
-        Args:
-            centre: Middle of the visible target (3,) [m].
-            height: Of the fingertip [m].
-        """
-        along, across = self.axes
+    def path(self, centre: Floats) -> Floats:
+        """Return its waypoints (N, 2) [m] about a target at `centre`."""
+        middle = self.middle(centre)
         if self.kind == "spiral":
-            turned = np.linspace(0, self.turns, max(round(self.turns / TURNS * POINTS), 3))
-            radii, angles = INNER + (OUTER - INNER) / TURNS * turned, 2 * np.pi * turned
-            ways = np.outer(radii * np.cos(angles), along) + np.outer(
-                radii * np.sin(angles), across
-            )
-        else:
-            ways = np.outer([-self.before, self.after], along)
-        points = self.middle(centre) + ways
-        return [np.array([x, y, height]) for x, y in points]
+            return spiral(middle, self.direction, self.turns, self.mirrored)
+        return straight(middle, self.direction, self.before, self.after)
 
 
 def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
@@ -94,6 +123,6 @@ def _draw(rng: np.random.Generator) -> Push:
         lateral, before = float(rng.normal(0, 0.025)), float(rng.uniform(0, 0.11))
         after = float(rng.uniform(0.03, 0.15))
         return Push("straight", direction, lateral, before, after, height=height)
-    lateral, turns = float(rng.normal(0, 0.01)), float(rng.uniform(0.75, TURNS))
+    lateral, turns = float(rng.normal(0, 0.01)), float(rng.uniform(0.75, SPIRAL_TURNS))
     mirrored = bool(rng.random() < 0.5)
     return Push("spiral", direction, lateral, turns=turns, height=height, mirrored=mirrored)

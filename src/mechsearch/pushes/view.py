@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.pushes.follow import PushFollower
 from mechsearch.pushes.push import KINDS, Push
+from mechsearch.pushes.route import PlannedPush
 from mechsearch.pushes.sight import Sight
 from mechsearch.types import Floats
 
@@ -54,10 +54,10 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
     Raises:
         MechSearchError: If no part of the target is visible.
     """
-    followers = [PushFollower(push, sight) for push in pushes]
-    heights = np.array([follower.start[2] for follower in followers])
-    numbers = [_numbers(p, f, sight) for p, f in zip(pushes, followers, strict=True)]
-    actions = [follower.approach + follower.length for follower in followers]
+    planned = [PlannedPush(push, sight) for push in pushes]
+    heights = np.array([plan.start[2] for plan in planned])
+    numbers = [_numbers(push, plan, sight) for push, plan in zip(pushes, planned, strict=True)]
+    actions = [plan.approach + plan.length for plan in planned]
     return PushViews(
         _patches(pushes, heights, sight),
         np.array(numbers, np.float32).reshape(-1, NUMBERS),
@@ -90,7 +90,7 @@ def _grid() -> tuple[Floats, Floats]:
 def _path_image(push: Push) -> Floats:
     """Return a path in its push's own frame (32, 32): 1 on it, falling to 0 beside it."""
     own = replace(push, direction=0.0, lateral=0.0, mirrored=False)
-    way = np.array(own.path(np.zeros(3), 0.0))
+    way = own.path(np.zeros(2))
     x, y = way[:-1, 0], way[:-1, 1]
     dx, dy = np.diff(way[:, 0]), np.diff(way[:, 1])
     u, v = (axis[..., None] for axis in _grid())
@@ -116,10 +116,10 @@ def _sample(layers: Floats, rows: Floats, columns: Floats) -> Floats:
     return sampled
 
 
-def _numbers(push: Push, follower: PushFollower, sight: Sight) -> list[float]:
+def _numbers(push: Push, planned: PlannedPush, sight: Sight) -> list[float]:
     assert sight.centre is not None
     along, across = push.axes
-    middle, tip = push.middle(sight.centre), follower.start[2]
+    middle, tip = push.middle(sight.centre), planned.start[2]
     away = sight.ee_position[:2] - middle
     return [
         20 * float((middle - sight.centre[:2]) @ across),
@@ -131,10 +131,10 @@ def _numbers(push: Push, follower: PushFollower, sight: Sight) -> list[float]:
         10 * sight.centre[2],
         float(sight.target.mean()) * 100,
         float(push.kind == KINDS[0]),
-        follower.approach / 10,
-        follower.length / 10,
+        planned.approach / 10,
+        planned.length / 10,
         4 * float(away @ along),
         4 * float(away @ across),
         5 * (sight.ee_position[2] - tip),
-        float(follower.flies),
+        float(planned.flies),
     ]

@@ -17,7 +17,7 @@ from mechsearch.report.questions import (
     ShareOfGap,
 )
 from mechsearch.report.tables import Table
-from mechsearch.teachers import make_teachers
+from mechsearch.teachers import PAPER_TEACHERS
 
 CONDITIONS = ("single", "dual")
 FOUR_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
@@ -71,7 +71,7 @@ class Ruling:
 
 
 def _teachers() -> list[str]:
-    return [f"{TEACHER_PREFIX}{name}" for name in make_teachers()]
+    return [f"{TEACHER_PREFIX}{name}" for name in PAPER_TEACHERS]
 
 
 def _less_clutter(ours: str, conditions: Sequence[str] = CONDITIONS) -> tuple[Question, ...]:

@@ -1,0 +1,86 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mechsearch.pushes import PlannedPush, Push, Route, RouteConfig, draw_pushes, straight
+from mechsearch.types import ACTION_LENGTH, MechSearchError
+
+
+def carried_out(planned, ee):
+    """Return where the end effector comes, if nothing is in its way."""
+    places = [np.array(ee)]
+    while (action := planned.act({"ee_position": places[-1]})) is not None:
+        assert np.linalg.norm(action) <= 1 + 1e-6
+        places.append(places[-1] + ACTION_LENGTH * action)
+        assert len(places) < 100
+    return np.array(places)
+
+
+@pytest.mark.parametrize("index", range(12))
+def test_a_push_goes_through_its_waypoints_in_about_as_many_actions_as_planned(sight, index):
+    push = draw_pushes(12, np.random.default_rng(1))[index]
+    planned = PlannedPush(push, sight)
+    places = carried_out(planned, sight.ee_position)
+    for x, y in push.path(sight.centre):
+        point = [x, y, planned.start[2]]
+        assert np.linalg.norm(places - point, axis=1).min() < 0.03
+    assert abs(len(places) - 1 - planned.approach - planned.length) <= 3
+
+
+def test_a_push_ends_for_good(sight):
+    planned = PlannedPush(Push("straight", 0.0, before=0.1, after=0.1), sight)
+    last = {"ee_position": carried_out(planned, sight.ee_position)[-1]}
+    assert planned.act(last) is None
+    assert planned.act(last) is None
+
+
+def test_the_approach_goes_over_what_stands_in_the_way_and_straight_where_nothing_does(sight):
+    across = Push("straight", np.pi, before=0.15, after=0.05)
+    over = PlannedPush(across, sight)
+    places = carried_out(over, sight.ee_position)
+    beside = np.linalg.norm(places[:, :2] - sight.obstacles[0, :2], axis=1) < 0.03
+    assert over.flies
+    assert (places[: int(over.approach)][beside[: int(over.approach)], 2] > 0.09).all()
+    near = PlannedPush(Push("straight", 0.0, before=0.1, after=0.05), sight)
+    assert not near.flies
+    assert near.approach < over.approach
+
+
+def test_the_fingertip_is_as_high_above_the_visible_target_as_the_push_says(sight):
+    push = Push("straight", 0.0, before=0.1, after=0.05, height=0.03)
+    assert PlannedPush(push, sight).start[2] == pytest.approx(0.07)
+    low = replace(push, height=-0.04)
+    assert PlannedPush(low, sight).start[2] == pytest.approx(0.02)
+
+
+def test_a_push_needs_a_visible_target(sight):
+    with pytest.raises(MechSearchError, match="visible"):
+        PlannedPush(Push("spiral", 0.0, turns=1.0), replace(sight, centre=None))
+
+
+TARGET, OTHERS = np.array([0.1, 0.0, 0.04]), np.array([[0.0, 0.0, 0.15]])
+
+
+def test_a_route_goes_in_the_open_at_the_pushs_height_and_over_what_is_in_its_way():
+    ee = np.array([-0.2, 0.0, 0.07])
+    path = straight(TARGET[:2], np.pi, before=0.1, after=0.1)
+    for others, heights in ((np.zeros((0, 3)), [0.07, 0.07]), (OTHERS, [0.24, 0.07, 0.07])):
+        route = Route(RouteConfig(beside=0.08))
+        route.begin(path, ee, np.array([0.1, 0.2, 0.04]), others)
+        np.testing.assert_allclose(route.waypoints[:, 2], heights)
+        np.testing.assert_allclose(route.push, [[0.2, 0.0, 0.07], [0.0, 0.0, 0.07]], atol=1e-12)
+
+
+def test_a_route_stays_within_its_bounds_wherever_the_target_is():
+    route = Route()
+    target = np.array([0.28, -0.28, 0.3])
+    route.begin(straight(target[:2], 0.3), np.zeros(3), target, np.zeros((0, 3)))
+    assert np.abs(route.push[:, :2]).max() <= route.config.half
+    assert route.push[:, 2].max() <= 0.2
+    route.begin(straight(target[:2], 0.3), np.zeros(3), -target, np.zeros((0, 3)))
+    np.testing.assert_allclose(route.push[:, 2], route.config.lowest)
+
+
+def test_a_route_without_a_push_is_at_its_end():
+    assert Route().next(np.zeros(3), TARGET, OTHERS) is None
