@@ -156,6 +156,16 @@ def test_a_run_that_is_made_longer_is_the_run_that_was_longer_from_the_start(
     assert files(tmp_path) == files(whole[0])
 
 
+def test_a_run_that_ended_between_two_fits_goes_on_without_the_fit_at_its_end(
+    plus, whole, make_parts, tmp_path
+):
+    train(changed(plus, actions=50), make_parts(), tmp_path)
+    assert [fit["step"] for fit in lines(tmp_path, "fit")] == [20, 40, 50]
+    train(plus, make_parts(), tmp_path, resume=True)
+    for name in ("metrics.jsonl", "actor.safetensors"):
+        assert (tmp_path / name).read_bytes() == (whole[0] / name).read_bytes()
+
+
 def test_an_episode_that_was_damaged_is_named_when_a_run_goes_on(plus, whole, make_parts, tmp_path):
     shutil.copytree(whole[0], tmp_path / "run")
     file = tmp_path / "run" / "pushes" / "000001.safetensors"

@@ -38,6 +38,7 @@ from mechsearch.training.policies import load_policy, save_policy, trained
 from mechsearch.training.run_directory import RunDirectory
 from mechsearch.training.trial import TrialInputs
 from mechsearch.types import MechSearchError
+from tests.runs import changed
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def plain(value: Any) -> Any:
 @pytest.fixture(scope="module")
 def kinds(config, make_parts, covered, make_box, tmp_path_factory):
     run = tmp_path_factory.mktemp("corruption") / "run"
-    short = replace(config, actions=26, evaluate_every=13)
+    short = changed(config, actions=26, evaluate_every=13)
     train(short, make_parts(), run)
     last = "checkpoints/step-00000026.safetensors"
 
