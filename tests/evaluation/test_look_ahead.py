@@ -8,7 +8,7 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig, LookAheadPolicy, Planner
 from mechsearch.evaluation.policies import make_policy
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
 from mechsearch.heaps.dataset import save
 from mechsearch.teachers import make_teachers
 
@@ -86,8 +86,8 @@ def test_it_is_no_worse_than_the_pushes_it_tries(covered, boxes) -> None:
 
 def test_simulated_actions_are_counted_apart_whatever_the_number_of_workers(heap_file) -> None:
     plan = EvaluationPlan("look-ahead", heap_file)
-    one, two = evaluate(plan), evaluate(plan, workers=2)
+    one, two = evaluate_plan(plan), evaluate_plan(plan, workers=2)
     assert one.header == two.header
     executed = sum(len(record.actions) for record in one.episodes)
     assert one.header["simulated_actions"] > 5 * executed
-    assert "simulated_actions" not in evaluate(EvaluationPlan("idle", heap_file)).header
+    assert "simulated_actions" not in evaluate_plan(EvaluationPlan("idle", heap_file)).header

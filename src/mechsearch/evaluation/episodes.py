@@ -128,7 +128,7 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
 
-def save(path: Path, evaluation: Evaluation) -> None:
+def save_episodes(path: Path, evaluation: Evaluation) -> None:
     """Write an evaluation as one `.npz`, whole or not at all.
 
     The same episodes give the same bytes.
@@ -165,9 +165,9 @@ def load_some(path: Path, limit: int) -> Evaluation:
     """Read an evaluation, and keep so many of its episodes, evenly spread; all for 0.
 
     Raises:
-        MechSearchError: As `load`, or if there are not so many.
+        MechSearchError: As `load_episodes`, or if there are not so many.
     """
-    evaluation = load(path)
+    evaluation = load_episodes(path)
     count = len(evaluation.episodes)
     if not 0 <= limit <= count:
         raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
@@ -175,8 +175,8 @@ def load_some(path: Path, limit: int) -> Evaluation:
     return Evaluation(evaluation.header, chosen)
 
 
-def load(path: Path) -> Evaluation:
-    """Read what `save` wrote; nothing in the file is ever run.
+def load_episodes(path: Path) -> Evaluation:
+    """Read what `save_episodes` wrote; nothing in the file is ever run.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or not an evaluation.
