@@ -3,7 +3,8 @@
 import importlib
 import importlib.util
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,13 +16,7 @@ from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS
-from mechsearch.evaluation.rollout import (
-    EvaluationPlan,
-    check_plan,
-    evaluate_plan,
-    file_name,
-    own_task,
-)
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name, in_task
 from mechsearch.files import check_place, write_whole
 from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.pictures.video import FORMATS, write_film
@@ -121,9 +116,7 @@ class Evaluate(Command):
         plan = EvaluationPlan(
             policy, self.heaps, self.name, self.objects, self.split, self.limit, self.seed
         )
-        plan = replace(plan, task=overridden(own_task(plan), self.task))
-        check_plan(plan)
-        return plan
+        return in_task(plan, partial(overridden, said=self.task))
 
     def _grasping(self) -> Any:
         """Return what measures grasps, if asked for; a network that is no good is refused first."""

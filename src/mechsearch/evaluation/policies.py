@@ -94,7 +94,7 @@ def make_policy(spec: str) -> Policy:
     if _is_file_of_run(spec):
         return _trained(Path(spec))
     if is_entry_point(spec):
-        return _checked(load_entry_point(spec, "policy")(), spec)
+        return checked_policy(load_entry_point(spec, "policy")(), spec)
     known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED_POLICIES))
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {known}, a run "
@@ -200,10 +200,15 @@ def _trained(path: Path) -> Policy:
         raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
     # Other numbers of threads give other bits, and scores must not depend on the workers.
     importlib.import_module("torch").set_num_threads(1)
-    return _checked(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
+    return checked_policy(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
 
 
-def _checked(policy: object, spec: str) -> Policy:
+def checked_policy(policy: object, spec: str) -> Policy:
+    """Return a policy that a text, or a user, gave.
+
+    Raises:
+        MechSearchError: If it is none, naming what it lacks.
+    """
     if not isinstance(policy, Policy):
         missing = [name for name in ("keys", "reset", "act") if not hasattr(policy, name)]
         raise MechSearchError(

@@ -2,10 +2,11 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     check_view,
+    checked_policy,
     make_policy,
     run_config,
     task_of,
@@ -74,8 +76,7 @@ class EvaluationPlan:
     @property
     def policy_text(self) -> str:
         """The policy's text, or the name of its class."""
-        kind = type(self.policy)
-        return self.policy if isinstance(self.policy, str) else f"{kind.__module__}:{kind.__name__}"
+        return self.policy if isinstance(self.policy, str) else type(self.policy).__name__
 
     @property
     def title(self) -> str:
@@ -218,6 +219,8 @@ def evaluate_plan(
         MechSearchError: If the plan cannot be carried out, or no episode could be run.
     """
     rollouts = _Rollouts(plan)
+    if workers > 1 and not isinstance(plan.policy, str):
+        _check_that_it_travels(plan)
     heaps, indices = rollouts.env.heaps, rollouts.heap_set.choose(plan.split, plan.limit)
     records: list[EpisodeRecord] = []
     simulated = 0
@@ -241,22 +244,19 @@ def evaluate_plan(
     return Evaluation(header, tuple(records))
 
 
-def own_task(plan: EvaluationPlan) -> TaskConfig:
-    """Return the task of a plan that names none.
+def in_task(plan: EvaluationPlan, change: Callable[[TaskConfig], TaskConfig]) -> EvaluationPlan:
+    """Return a plan in a changed task.
+
+    Args:
+        plan: What is planned.
+        change: Given the task that the plan is in by default, returns another.
 
     Raises:
-        MechSearchError: If there is no such policy or heap set.
+        MechSearchError: If there is no such policy or heap set, or the policy cannot see there.
     """
-    return _Rollouts(plan).own_task
-
-
-def check_plan(plan: EvaluationPlan) -> None:
-    """Refuse a plan whose policy cannot see in its task.
-
-    Raises:
-        MechSearchError: Naming what the policy sees through, and what the task has.
-    """
-    _ = _Rollouts(plan).task
+    changed = replace(plan, task=change(_Rollouts(plan).own_task))
+    _ = _Rollouts(changed).task
+    return changed
 
 
 def file_name(evaluation: Evaluation) -> str:
@@ -266,6 +266,16 @@ def file_name(evaluation: Evaluation) -> str:
     if header["trained"]:
         words += [f"seed{header['training_seed']}", f"{header['training_actions']}"]
     return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-")
+
+
+def _check_that_it_travels(plan: EvaluationPlan) -> None:
+    try:
+        ForkingPickler.dumps(plan.policy)
+    except Exception as error:  # noqa: BLE001
+        raise MechSearchError(
+            f"the policy {plan.policy_text} cannot be handed to worker processes ({error}); "
+            "expected workers=1, or the policy as package.module:factory"
+        ) from None
 
 
 def _quarantine(index: int, failure: Failure) -> Failure:
@@ -289,7 +299,9 @@ class _Rollouts:
     @cached_property
     def policy(self) -> Policy:
         policy = self.plan.policy
-        return make_policy(policy) if isinstance(policy, str) else policy
+        if isinstance(policy, str):
+            return make_policy(policy)
+        return checked_policy(policy, self.plan.policy_text)
 
     @cached_property
     def opened(self) -> tuple[HeapSet, ObjectSet]:
