@@ -157,7 +157,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
                 f / "idle.npz", Evaluation({"name": "idle"}, (episode,))
             ),
             lambda f: episodes.load_episodes(f / "idle.npz"),
-            (episodes, "FORMAT"),
+            (episodes, "EPISODE_FORMAT"),
             strict=False,
         ),
         "prepared object": Kind(

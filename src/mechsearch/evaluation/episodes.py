@@ -13,7 +13,7 @@ from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.types import Array, Floats, MechSearchError
 
-FORMAT = 1
+EPISODE_FORMAT = 1
 UNCOVERED = "uncovered"
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
@@ -143,7 +143,7 @@ def save_episodes(path: Path, evaluation: Evaluation) -> None:
     if any(tuple(episode.reward_terms) != terms for episode in episodes):
         raise MechSearchError("the episodes have different reward terms; expected the same in all")
     text = {
-        "format": FORMAT,
+        "format": EPISODE_FORMAT,
         "header": dict(evaluation.header),
         "terms": terms,
         "episodes": [_description(episode) for episode in episodes],
@@ -186,9 +186,9 @@ def load_episodes(path: Path) -> Evaluation:
     arrays = read_arrays(path, "evaluation")
     try:
         text = json.loads(str(arrays["text"]))
-        if text["format"] != FORMAT:
+        if text["format"] != EPISODE_FORMAT:
             raise MechSearchError(
-                f"{path} has episode format {text['format']}; this version reads {FORMAT}"
+                f"{path} has episode format {text['format']}; this version reads {EPISODE_FORMAT}"
             )
         return Evaluation(text["header"], tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:
