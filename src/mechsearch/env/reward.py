@@ -23,6 +23,8 @@ PAPER_REWARD = "paper"
 Reward = Callable[[float, float, Array, float, bool, float, "RewardConfig"], Mapping[str, float]]
 """What `terms` is, and what a user's reward must be."""
 
+_NOTHING_MOVED = (1.0, 1.0, np.zeros(1), 0.0, False, 0.0)
+
 
 @dataclass(frozen=True)
 class RewardConfig:
@@ -137,9 +139,9 @@ def reward_of(config: RewardConfig) -> tuple[Reward, tuple[str, ...]]:
             by name; the function that is returned raises so as well, or if the names change.
     """
     if config.function == PAPER_REWARD:
-        return terms, tuple(terms(1.0, 1.0, np.zeros(1), 0.0, False, 0.0, config))
+        return terms, tuple(terms(*_NOTHING_MOVED, config))
     function = load_entry_point(config.function, "reward function")
-    names = tuple(_named_numbers(function(1.0, 1.0, np.zeros(1), 0.0, False, 0.0, config), config))
+    names = tuple(_named_numbers(function(*_NOTHING_MOVED, config), config))
     return _OwnReward(function, names), names
 
 
