@@ -191,7 +191,7 @@ def test_heaps_are_not_overwritten(heaps: Path, capsys: pytest.CaptureFixture[st
 
 def test_scores_are_recorded_and_entered_into_the_summary(scores: Path) -> None:
     for policy in ("idle", "random"):
-        evaluation = episodes.load(scores / f"{policy}.npz")
+        evaluation = episodes.load_episodes(scores / f"{policy}.npz")
         assert evaluation.header["name"] == policy
         assert len(evaluation.episodes) == 2
     rows = summary.read(scores / "summary.csv")
@@ -216,10 +216,10 @@ def test_an_episode_is_shown_as_picture_and_film(
 def test_episodes_recorded_with_other_objects_are_not_drawn(
     scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    evaluation = episodes.load(scores / "idle.npz")
+    evaluation = episodes.load_episodes(scores / "idle.npz")
     name, *_ = evaluation.header["object_hashes"]
     header = {**evaluation.header, "object_hashes": {name: "0" * 64}}
-    episodes.save(tmp_path / "idle.npz", Evaluation(header, evaluation.episodes))
+    episodes.save_episodes(tmp_path / "idle.npz", Evaluation(header, evaluation.episodes))
     message = failure(["show", str(tmp_path / "idle.npz")], capsys)
     assert (
         f"1 of the 1 recorded objects are missing from or differ in 'household': {name}" in message
@@ -259,7 +259,7 @@ def test_a_run_is_trained_continued_evaluated_and_packed(
     table = tmp_path / "summary.csv"
     words = ["evaluate", str(run), "--heaps", str(heaps), "--out", str(out), "--workers", "1"]
     main([*words, "--limit", "1", "--summary", str(table)])
-    header = episodes.load(out / "debug-seed5-14.npz").header
+    header = episodes.load_episodes(out / "debug-seed5-14.npz").header
     assert (header["trained"], header["training_actions"]) == (True, 14)
     assert {(row.variant, row.seed, row.actions) for row in summary.read(table)} == {
         ("debug", 5, 14)
@@ -272,7 +272,7 @@ def test_a_run_is_trained_continued_evaluated_and_packed(
     assert card["sha256"] == hashlib.sha256(packed.read_bytes()).hexdigest()
     assert (card["variant"], card["seed"], card["executed_actions"]) == ("debug", 5, 14)
     assert card["trained_on"]["heap_set"] == card["scored_on"]["heap_set"]
-    rewards = [record.rewards.sum() for record in episodes.load(recorded).episodes]
+    rewards = [record.rewards.sum() for record in episodes.load_episodes(recorded).episodes]
     assert card["scores"]["reward"][0] == pytest.approx(np.mean(rewards))
     other = ["pack", str(run), "--scores", str(scores / "idle.npz"), "--out", str(packed)]
     said = failure(other, capsys)

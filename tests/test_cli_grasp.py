@@ -149,7 +149,7 @@ def test_an_evaluation_measures_graspability_and_retrieval(
         }
     assert abs(rows["idle", "graspability_change"].mean) < 0.05
     assert rows["idle", "retrieval_before"].mean == rows["idle", "retrieval_after"].mean
-    recorded = episodes.load(tmp_path / "idle.npz")
+    recorded = episodes.load_episodes(tmp_path / "idle.npz")
     assert all(record.grasp is not None for record in recorded.episodes)
     assert score(recorded.episodes)["retrieval_after"].mean == rows["idle", "retrieval_after"].mean
     absent = failure([*words, "--grasp-network", "absent.npz"], capsys)

@@ -29,7 +29,7 @@ from mechsearch.types import MechSearchError
 
 READERS = {
     "heaps.parquet": dataset.load,
-    "episodes.npz": episodes.load,
+    "episodes.npz": episodes.load_episodes,
     "config.json": load_config,
     "actor.safetensors": load_policy,
     "plus.safetensors": load_policy,
@@ -148,7 +148,7 @@ def test_an_evaluation_with_any_part_replaced_is_one_or_is_refused(
     text[part] = value
     arrays["text"] = np.array(json.dumps(text))
     np.savez(tmp_path / "episodes.npz", allow_pickle=False, **arrays)
-    answered(episodes.load, tmp_path / "episodes.npz")
+    answered(episodes.load_episodes, tmp_path / "episodes.npz")
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def small_evaluation(tmp_path_factory):
         np.zeros(2), np.zeros((2, 2, 7)), {"idleness": np.zeros(1)}, np.zeros(1), np.zeros(1),
         "action limit", 50,
     )  # fmt: skip
-    episodes.save(path, episodes.Evaluation({"name": "idle"}, (record,)))
+    episodes.save_episodes(path, episodes.Evaluation({"name": "idle"}, (record,)))
     return path
 
 

@@ -2,8 +2,8 @@
 
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
 environments, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
-`generate` and `load_heaps` heap sets, `load_object_set` objects, and `make_policy` policies by
-name, file or function. Each is imported when it is first used.
+`generate` and `load_heaps` heap sets, `load_object_set` objects, `make_policy` policies by name,
+file or function, and `evaluate` their episodes. Each is imported when it is first used.
 """
 
 from importlib import import_module
@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig
     from mechsearch.env.register import make_env, make_vector_env
+    from mechsearch.env.reward import RewardConfig
     from mechsearch.env.vector.vector_env import VectorHeapEnv
     from mechsearch.evaluation.policies import make_policy
+    from mechsearch.evaluation.rollout import evaluate
     from mechsearch.heaps.dataset import load as load_heaps
     from mechsearch.heaps.generate import GenerateConfig, generate
     from mechsearch.objects.catalog import load_object_set
@@ -28,7 +30,10 @@ _PLACES = {
     "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
+    "RewardConfig": "env.reward:RewardConfig",
+    "TaskConfig": "env.heap_env:TaskConfig",
     "VectorHeapEnv": "env.vector.vector_env:VectorHeapEnv",
+    "evaluate": "evaluation.rollout:evaluate",
     "generate": "heaps.generate:generate",
     "load_heaps": "heaps.dataset:load",
     "load_object_set": "objects.catalog:load_object_set",
@@ -44,7 +49,10 @@ __all__ = [
     "HeapEnvConfig",
     "MechSearchError",
     "Policy",
+    "RewardConfig",
+    "TaskConfig",
     "VectorHeapEnv",
+    "evaluate",
     "generate",
     "load_heaps",
     "load_object_set",

@@ -9,6 +9,7 @@ from mechsearch.env.reward import (
     RewardConfig,
     clutter_movement,
     idleness,
+    reward_of,
     terms,
     uncovering_gain,
 )
@@ -105,3 +106,71 @@ def test_a_target_in_full_view_is_divided_by_nothing_where_only_full_view_counts
 def test_what_is_no_weight_or_function_is_named(field, value, message):
     with pytest.raises(MechSearchError, match=message):
         RewardConfig(**{field: value})
+
+
+def sparse(before, after, clutter, target, leaves, uncovered_at, config):
+    """Return terms in whatever order, as whatever numbers."""
+    named = {"seen": np.float32(after <= uncovered_at), "left": int(leaves)}
+    return named if after < before else dict(reversed(named.items()))
+
+
+def moody(before, after, *others):
+    """Return terms whose names change."""
+    return {"fell" if after < before else "rose": 1.0}
+
+
+def later_endless(before, after, *others):
+    """Return an infinite reward, but not at once."""
+    return {"reward": float("inf") if after < before else 1}
+
+
+RETURNS = {
+    "number": 3,
+    "empty": {},
+    "endless": {"first": 1.0, "second": float("inf")},
+    "unnamed": {"first": 1.0, 3: 1.0},
+    "textual": {"first": "1"},
+}
+
+
+def __getattr__(name):
+    if name not in RETURNS:
+        raise AttributeError(name)
+    return lambda *args: RETURNS[name]
+
+
+def test_the_papers_reward_is_what_a_configuration_names_by_default():
+    assert reward_of(CONFIG) == (
+        terms,
+        ("uncovering", "clutter_movement", "target_movement", "workspace", "idleness"),
+    )
+
+
+def test_a_reward_of_ones_own_gives_plain_numbers_in_one_order():
+    config = RewardConfig(function=f"{__name__}:sparse")
+    reward, names = reward_of(config)
+    assert names == ("left", "seen")
+    for after, seen in ((0.1, 0.0), (0.01, 1.0)):
+        found = reward(0.5, after, np.zeros(1), 0.0, True, 0.02, config)
+        assert list(found.items()) == [("left", 1.0), ("seen", seen)]
+        assert all(type(value) is float for value in found.values())
+
+
+@pytest.mark.parametrize("name", RETURNS)
+def test_what_is_no_reward_is_refused_at_once(name):
+    with pytest.raises(MechSearchError, match=f":{name}' returned .*; expected a mapping of names"):
+        reward_of(RewardConfig(function=f"{__name__}:{name}"))
+    with pytest.raises(MechSearchError, match="has no function or class 'absent'"):
+        reward_of(RewardConfig(function=f"{__name__}:absent"))
+
+
+def test_what_is_no_reward_later_is_refused_then():
+    for name, message in (
+        ("later_endless", "returned {'reward': inf}"),
+        ("moody", "fell; expected rose after"),
+    ):
+        config = RewardConfig(function=f"{__name__}:{name}")
+        reward, _ = reward_of(config)
+        assert reward(0.5, 0.6, np.zeros(1), 0.0, False, 0.02, config)
+        with pytest.raises(MechSearchError, match=message):
+            reward(0.5, 0.4, np.zeros(1), 0.0, False, 0.02, config)

@@ -35,8 +35,8 @@ def evaluation(make_episode) -> Evaluation:
 
 def test_loading_gives_back_what_was_saved(tmp_path: Path, evaluation: Evaluation) -> None:
     path = tmp_path / "deep" / "random.npz"
-    episodes.save(path, evaluation)
-    loaded = episodes.load(path)
+    episodes.save_episodes(path, evaluation)
+    loaded = episodes.load_episodes(path)
     assert loaded.header == evaluation.header
     assert len(loaded.episodes) == 5
     for left, right in zip(evaluation.episodes, loaded.episodes, strict=True):
@@ -44,8 +44,8 @@ def test_loading_gives_back_what_was_saved(tmp_path: Path, evaluation: Evaluatio
 
 
 def test_the_same_episodes_give_the_same_bytes(tmp_path: Path, evaluation: Evaluation) -> None:
-    episodes.save(tmp_path / "a.npz", evaluation)
-    episodes.save(tmp_path / "b.npz", episodes.load(tmp_path / "a.npz"))
+    episodes.save_episodes(tmp_path / "a.npz", evaluation)
+    episodes.save_episodes(tmp_path / "b.npz", episodes.load_episodes(tmp_path / "a.npz"))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
@@ -53,14 +53,14 @@ def test_every_single_damaged_byte_of_the_poses_is_refused_or_harmless(
     tmp_path: Path, evaluation: Evaluation
 ) -> None:
     path = tmp_path / "a.npz"
-    episodes.save(path, evaluation)
+    episodes.save_episodes(path, evaluation)
     whole = bytearray(path.read_bytes())
     for place in range(40, len(whole), 97):
         torn = whole.copy()
         torn[place] ^= 0x10
         path.write_bytes(torn)
         try:
-            loaded = episodes.load(path)
+            loaded = episodes.load_episodes(path)
         except MechSearchError:
             continue
         for left, right in zip(evaluation.episodes, loaded.episodes, strict=True):
@@ -72,28 +72,28 @@ def test_a_file_that_is_no_evaluation_is_refused(tmp_path: Path, content: bytes)
     path = tmp_path / "a.npz"
     path.write_bytes(content)
     with pytest.raises(MechSearchError, match=r"a\.npz is damaged"):
-        episodes.load(path)
+        episodes.load_episodes(path)
 
 
 def test_an_array_file_or_a_pickle_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(MechSearchError, match="no evaluation"):
-        episodes.load(tmp_path / "other.npz")
+        episodes.load_episodes(tmp_path / "other.npz")
     np.savez(tmp_path / "pickle.npz", text=np.array([{}], dtype=object))
     with pytest.raises(MechSearchError, match="no evaluation"):
-        episodes.load(tmp_path / "pickle.npz")
+        episodes.load_episodes(tmp_path / "pickle.npz")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no evaluation at"):
-        episodes.load(tmp_path / "absent.npz")
+        episodes.load_episodes(tmp_path / "absent.npz")
     with pytest.raises(MechSearchError, match="is a folder"):
-        episodes.load(tmp_path)
+        episodes.load_episodes(tmp_path)
 
 
 def test_nothing_is_not_saved(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no episode"):
-        episodes.save(tmp_path / "a.npz", Evaluation({}, ()))
+        episodes.save_episodes(tmp_path / "a.npz", Evaluation({}, ()))
     assert list(tmp_path.iterdir()) == []
 
 

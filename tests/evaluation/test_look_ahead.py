@@ -14,7 +14,7 @@ from mechsearch.evaluation.look_ahead import (
     plan_push,
 )
 from mechsearch.evaluation.policies import make_policy
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
 from mechsearch.heaps.dataset import save
 from mechsearch.pushes import spiral, straight, zigzag
 from mechsearch.teachers import PushTeacher
@@ -94,8 +94,8 @@ def test_it_is_no_worse_than_the_pushes_it_tries(covered, boxes) -> None:
 
 def test_simulated_actions_are_counted_apart_whatever_the_number_of_workers(heap_file) -> None:
     plan = EvaluationPlan("look-ahead", heap_file)
-    one, two = evaluate(plan), evaluate(plan, workers=2)
+    one, two = evaluate_plan(plan), evaluate_plan(plan, workers=2)
     assert one.header == two.header
     executed = sum(len(record.actions) for record in one.episodes)
     assert one.header["simulated_actions"] > 5 * executed
-    assert "simulated_actions" not in evaluate(EvaluationPlan("idle", heap_file)).header
+    assert "simulated_actions" not in evaluate_plan(EvaluationPlan("idle", heap_file)).header

@@ -5,9 +5,14 @@ import numpy as np
 import pytest
 
 from mechsearch.env.register import embedded_heaps, make_env
-from mechsearch.evaluation.policies import make_policy, run_config
+from mechsearch.evaluation.policies import (
+    SHIPPED_POLICIES,
+    card,
+    make_policy,
+    run_config,
+    shipped_file,
+)
 from mechsearch.evaluation.rollout import run_episode
-from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
 from mechsearch.types import MechSearchError
 
 needs_torch = pytest.mark.skipif(
@@ -15,7 +20,7 @@ needs_torch = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SHIPPED_POLICIES)
 def test_a_card_is_that_of_the_weights_beside_it(name):
     told = card(name)
     assert told["sha256"] == hashlib.sha256(shipped_file(name).read_bytes()).hexdigest()
@@ -27,7 +32,7 @@ def test_a_card_is_that_of_the_weights_beside_it(name):
 
 
 @needs_torch
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SHIPPED_POLICIES)
 def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
     policy, heaps = make_policy(name), embedded_heaps(name)
     held_out = [i for i, heap in enumerate(heaps.heaps) if heap.held_out]

@@ -7,7 +7,7 @@ import pytest
 from mechsearch.cli import main
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.evaluation.verify import replay_all
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.types import MechSearchError
@@ -22,7 +22,7 @@ def heaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def recorded(heaps: Path) -> Evaluation:
-    return evaluate(EvaluationPlan("teacher-spiral", heaps))
+    return evaluate_plan(EvaluationPlan("teacher-spiral", heaps))
 
 
 def changed(evaluation: Evaluation, **values: object) -> Evaluation:
@@ -34,8 +34,8 @@ def changed(evaluation: Evaluation, **values: object) -> Evaluation:
 def test_what_a_file_holds_is_played_again_bit_by_bit(
     heaps: Path, recorded: Evaluation, tmp_path: Path
 ) -> None:
-    episodes.save(tmp_path / "spiral.npz", recorded)
-    found = list(replay_all(episodes.load(tmp_path / "spiral.npz"), heaps))
+    episodes.save_episodes(tmp_path / "spiral.npz", recorded)
+    found = list(replay_all(episodes.load_episodes(tmp_path / "spiral.npz"), heaps))
     assert len(found) == 3
     assert all(replay.passed for replay in found)
 
@@ -87,13 +87,13 @@ def test_the_command_tells_how_many_and_fails_if_one_differs(
     heaps: Path, recorded: Evaluation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, bad = tmp_path / "good.npz", tmp_path / "bad.npz"
-    episodes.save(good, recorded)
+    episodes.save_episodes(good, recorded)
     words = ["--heaps", str(heaps), "--workers", "1"]
     main(["verify", str(good), *words])
     assert "3 of 3 episodes are as recorded, bit by bit" in capsys.readouterr().out
     poses = recorded.episodes[0].poses.copy()
     poses[1, 0, 0] += 1e-12
-    episodes.save(bad, changed(recorded, poses=poses))
+    episodes.save_episodes(bad, changed(recorded, poses=poses))
     with pytest.raises(SystemExit) as stopped:
         main(["verify", str(bad), *words])
     assert stopped.value.code == 1
@@ -102,6 +102,6 @@ def test_the_command_tells_how_many_and_fails_if_one_differs(
     assert "2 of 3 episodes" in said
     assert "poses from 1 on" in said
     header = recorded.header | {"fingerprint": {**recorded.header["fingerprint"], "numpy": "1.0"}}
-    episodes.save(good, Evaluation(header, recorded.episodes))
+    episodes.save_episodes(good, Evaluation(header, recorded.episodes))
     main(["verify", str(good), *words])
     assert "instead of 1.0: bits may differ by rounding" in capsys.readouterr().out

@@ -140,7 +140,7 @@ def test_scores_of_another_actor_than_the_run_ended_with_are_refused(copy):
     finished["actor"] = hashlib.sha256(b"made anew").hexdigest()
     kept = {k: finished[k] for k in ("actor", "metrics", "training_actions")}
     write_record(run / "finished.json", "record of a finished run", kept)
-    assert episodes.load(scores).header["actor"] == was
+    assert episodes.load_episodes(scores).header["actor"] == was
     told = reasons(status_of(copy))
     assert told.keys() == {"single/scores of method-seed0"}
     assert f"its actor is '{was}'; expected '{kept['actor']}'; move it away" in str(told)
@@ -269,8 +269,10 @@ def test_damaged_and_foreign_episodes_are_named_and_enter_no_table(few, tmp_path
     damaged = bytearray((place / "idle.npz").read_bytes())
     damaged[len(damaged) // 2] ^= 4
     (place / "idle.npz").write_bytes(bytes(damaged))
-    other = episodes.load(place / "random.npz")
-    episodes.save(place / "random.npz", Evaluation({**other.header, "heaps": 2}, other.episodes))
+    other = episodes.load_episodes(place / "random.npz")
+    episodes.save_episodes(
+        place / "random.npz", Evaluation({**other.header, "heaps": 2}, other.episodes)
+    )
     (tmp_path / "summary.csv").unlink()
     found = reasons(carry_out(few, tmp_path))
     assert "damaged" in found["single/scores of idle"]

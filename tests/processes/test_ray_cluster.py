@@ -20,7 +20,7 @@ import ray
 
 from mechsearch.cli import main
 from mechsearch.env.register import embedded_heaps
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.experiments.sweep import run_all
 from mechsearch.heaps.dataset import load, save
 from mechsearch.heaps.generate import GenerateConfig, generate
@@ -133,7 +133,7 @@ def test_episodes_are_the_serial_ones(tmp_path):
     embedded = embedded_heaps("single")
     save(tmp_path / "heaps.parquet", embedded.held_out[:4], embedded.manifest)
     plan = EvaluationPlan("teacher-straight", tmp_path / "heaps.parquet")
-    ours, serial = evaluate(plan, 2, mapper=ray_map), evaluate(plan)
+    ours, serial = evaluate_plan(plan, 2, mapper=ray_map), evaluate_plan(plan)
     assert ours.header == serial.header
     for left, right in zip(ours.episodes, serial.episodes, strict=True):
         np.testing.assert_array_equal(left.poses, right.poses)

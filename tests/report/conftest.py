@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord, save
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord, save_episodes
 from mechsearch.objects.model import ObjectModel
 
 MakeEvaluation = Callable[..., Evaluation]
@@ -148,7 +148,9 @@ def write_sweep(make_evaluation) -> Callable[..., Path]:
             for record in evaluation.episodes
         )
         label = f"{name}-seed{seed}-8000" if trained else name
-        save(folder / "evaluations" / f"{label}.npz", replace(evaluation, episodes=episodes))
+        save_episodes(
+            folder / "evaluations" / f"{label}.npz", replace(evaluation, episodes=episodes)
+        )
 
     def _write_run(folder: Path, name: str, gain: float, seed: int, grasps: bool) -> None:
         folder.mkdir(parents=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.episodes import load, save
+from mechsearch.evaluation.episodes import load_episodes, save_episodes
 from mechsearch.evaluation.metrics import measure
 from mechsearch.report.experiment import is_experiment, ordered, read_experiment
 from mechsearch.types import MechSearchError
@@ -33,15 +33,15 @@ def test_values_lie_by_seed_and_heap(sweep: Path) -> None:
     single = read_experiment(sweep).conditions["single"]
     (values,) = single.matrices(["method"], "reward")
     assert values.shape == (3, 30)
-    recorded = load(sweep / "single" / "evaluations" / "method-seed1-8000.npz").episodes
+    recorded = load_episodes(sweep / "single" / "evaluations" / "method-seed1-8000.npz").episodes
     by_heap = {record.heap_seed: measure(record)["reward"] for record in recorded}
     np.testing.assert_array_equal(values[1], [by_heap[heap] for heap in sorted(by_heap)])
 
 
 def test_policies_are_compared_on_the_heaps_that_all_ran_on(copied: Path) -> None:
     file = copied / "single" / "evaluations" / "idle.npz"
-    whole = load(file)
-    save(file, type(whole)(whole.header, whole.episodes[10:25]))
+    whole = load_episodes(file)
+    save_episodes(file, type(whole)(whole.header, whole.episodes[10:25]))
     single = read_experiment(copied).conditions["single"]
     method, idle = single.matrices(["method", "idle"], "reward")
     assert method.shape == (3, 15)
@@ -52,9 +52,9 @@ def test_policies_are_compared_on_the_heaps_that_all_ran_on(copied: Path) -> Non
 
 def test_of_two_lengths_of_training_the_longer_counts(copied: Path) -> None:
     file = copied / "single" / "evaluations" / "method-seed0-8000.npz"
-    whole = load(file)
+    whole = load_episodes(file)
     shorter = dict(whole.header) | {"training_actions": 500}
-    save(file.with_name("method-seed0-500.npz"), type(whole)(shorter, whole.episodes))
+    save_episodes(file.with_name("method-seed0-500.npz"), type(whole)(shorter, whole.episodes))
     trials = read_experiment(copied).conditions["single"].trials["method"]
     assert [trial.actions for trial in trials] == [8000, 8000, 8000]
 
@@ -88,8 +88,8 @@ def test_episodes_that_belong_elsewhere_are_refused(
     copied: Path, fact: str, value: str, message: str
 ) -> None:
     file = copied / "single" / "evaluations" / "idle.npz"
-    whole = load(file)
-    save(file, type(whole)(dict(whole.header) | {fact: value}, whole.episodes))
+    whole = load_episodes(file)
+    save_episodes(file, type(whole)(dict(whole.header) | {fact: value}, whole.episodes))
     with pytest.raises(MechSearchError, match=message):
         read_experiment(copied)
 
@@ -125,8 +125,8 @@ def test_a_sweep_without_scores_is_refused(tmp_path: Path) -> None:
 def test_no_shared_heap_is_refused(copied: Path) -> None:
     for name, part in (("idle", slice(0, 10)), ("random", slice(10, 20))):
         file = copied / "single" / "evaluations" / f"{name}.npz"
-        whole = load(file)
-        save(file, type(whole)(whole.header, whole.episodes[part]))
+        whole = load_episodes(file)
+        save_episodes(file, type(whole)(whole.header, whole.episodes[part]))
     single = read_experiment(copied).conditions["single"]
     with pytest.raises(MechSearchError, match="idle, random share no single heap"):
         single.matrices(["idle", "random"], "reward")

@@ -153,9 +153,11 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         "actor": Kind(actor, copied(actor), lambda f: load_policy(f).policy.actor, archive_format),
         "episodes": Kind(
             "idle.npz",
-            lambda f: episodes.save(f / "idle.npz", Evaluation({"name": "idle"}, (episode,))),
-            lambda f: episodes.load(f / "idle.npz"),
-            (episodes, "FORMAT"),
+            lambda f: episodes.save_episodes(
+                f / "idle.npz", Evaluation({"name": "idle"}, (episode,))
+            ),
+            lambda f: episodes.load_episodes(f / "idle.npz"),
+            (episodes, "EPISODE_FORMAT"),
             strict=False,
         ),
         "prepared object": Kind(

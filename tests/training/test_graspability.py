@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from mechsearch.cli.graspability import Grasping
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
 from mechsearch.processes import silent
@@ -13,7 +13,7 @@ from mechsearch.training.graspability import GraspabilityChange
 
 def episodes(policy, limit):
     heaps = Path(str(resources.files("mechsearch.heaps") / "household_single.parquet"))
-    return evaluate(EvaluationPlan(policy, heaps, limit=limit))
+    return evaluate_plan(EvaluationPlan(policy, heaps, limit=limit))
 
 
 def test_curves_have_the_bits_that_an_evaluation_of_the_same_episodes_measures():

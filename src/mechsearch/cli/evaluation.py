@@ -3,20 +3,20 @@
 import importlib
 import importlib.util
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
-from mechsearch.env.register import embedded_file
+from mechsearch.cli.overrides import optional, overridden
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.metrics import METRICS
-from mechsearch.evaluation.policies import make_policy
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
-from mechsearch.evaluation.shipped import SHIPPED
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name, in_task
 from mechsearch.files import check_place, write_whole
 from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.pictures.video import FORMATS, write_film
@@ -29,10 +29,15 @@ from mechsearch.types import MechSearchError
 _GRASPING = "mechsearch.cli.graspability"
 """Imported where it is asked for: it needs PyTorch, which `evaluate` does not."""
 
+_TaskOptions: Any = optional(TaskConfig)
+
 
 @dataclass(frozen=True)
 class Evaluate(Command):
     """Score policies on a heap set and record every episode.
+
+    Each policy acts in the task of the run that it comes from, or else in the default one through
+    the heap set's camera; what is said of the task is changed for all of them.
 
     Attributes:
         policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, look-ahead
@@ -47,7 +52,7 @@ class Evaluate(Command):
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly; 0 takes all.
         seed: Of the policies' own randomness; all start alike.
-        camera: View; the one that the policy was trained with, or else the heap set's.
+        task: What is changed of the task.
         workers: Processes; the scores do not depend on their number.
         ray: Spread the work by Ray instead.
         ray_address: Of a Ray cluster, all of whose processors work; "auto" finds one that runs.
@@ -69,7 +74,9 @@ class Evaluate(Command):
     split: str = "held-out"
     limit: int = 0
     seed: int = 0
-    camera: str = ""
+    task: Annotated[Any, tyro.conf.arg(constructor=_TaskOptions, name="")] = field(
+        default_factory=_TaskOptions
+    )
     workers: int = WORKERS
     ray: bool = False
     ray_address: str = ""
@@ -85,16 +92,15 @@ class Evaluate(Command):
             raise MechSearchError(
                 f"{len(self.policies)} policies given; expected one with --name, or at least one"
             )
-        for policy in self.policies:
-            make_policy(policy)
+        plans = [self._plan(policy) for policy in self.policies]
         check_place(self.out / "episodes.npz")
         if self.summary:
             check_place(self.summary)
         grasping = self._grasping()
         evaluations = []
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
-            for policy in self.policies:
-                evaluation = record(self._plan(policy), self.out, workers, mapper)
+            for plan in plans:
+                evaluation = record(plan, self.out, workers, mapper)
                 if grasping:
                     with bars() as progress:
                         evaluation = grasping.measured(evaluation, progress)
@@ -106,17 +112,11 @@ class Evaluate(Command):
         wrote(self.out)
 
     def _plan(self, policy: str) -> EvaluationPlan:
-        condition = policy if policy in SHIPPED else "single"
-        return EvaluationPlan(
-            policy,
-            self.heaps or embedded_file(condition),
-            name=self.name,
-            objects=self.objects,
-            split=self.split,
-            limit=self.limit,
-            seed=self.seed,
-            camera=self.camera,
+        """Return the plan for a policy, if it can act in the task that is asked for."""
+        plan = EvaluationPlan(
+            policy, self.heaps, self.name, self.objects, self.split, self.limit, self.seed
         )
+        return in_task(plan, partial(overridden, said=self.task))
 
     def _grasping(self) -> Any:
         """Return what measures grasps, if asked for; a network that is no good is refused first."""
@@ -177,7 +177,7 @@ class Show(Command):
             raise MechSearchError(
                 f"unknown format {self.out.suffix!r}; choose one of .png, {', '.join(FORMATS)}"
             )
-        evaluation = episodes.load(self.episodes)
+        evaluation = episodes.load_episodes(self.episodes)
         record = self._episode(evaluation)
         models = models_of(evaluation, self.objects)
         config = FilmConfig(self.camera, self.size)
@@ -210,14 +210,16 @@ class Show(Command):
 def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> Evaluation:
     """Carry out a plan with a progress bar, and write its episodes into a folder."""
     with bars() as progress:
-        evaluation = evaluate(plan, workers, progress, mapper)
+        evaluation = evaluate_plan(plan, workers, progress, mapper)
+    if evaluation.header["task_differs"]:
+        say(f"{plan.title}, in another task: {', '.join(evaluation.header['task_differs'])}")
     write(evaluation, folder)
     return evaluation
 
 
 def write(evaluation: Evaluation, folder: Path) -> None:
     """Write the episodes of an evaluation into a folder."""
-    episodes.save(folder / f"{file_name(evaluation)}.npz", evaluation)
+    episodes.save_episodes(folder / f"{file_name(evaluation)}.npz", evaluation)
 
 
 def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:

@@ -38,7 +38,7 @@ class Pack(Command):
             raise MechSearchError(f"weights are written to a .safetensors file, not {self.out}")
         check_place(self.out)
         policy = load_policy(self.run_directory)
-        evaluation = episodes.load(self.scores)
+        evaluation = episodes.load_episodes(self.scores)
         card = self._card(evaluation, policy.training_actions)
         save_policy(policy, self.out)
         weights = hashlib.sha256(self.out.read_bytes()).hexdigest()

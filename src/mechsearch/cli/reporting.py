@@ -90,7 +90,7 @@ def write_experiment(options: Report) -> None:
 
 def write_report(options: Report) -> None:
     """Write the page of a report."""
-    evaluations = named(episodes.load(path) for path in _files(options.sources))
+    evaluations = named(episodes.load_episodes(path) for path in _files(options.sources))
     if not evaluations:
         raise MechSearchError(
             f"no evaluation (.npz) under {', '.join(map(str, options.sources)) or 'nothing'}"
@@ -132,7 +132,7 @@ def _models(experiment: Experiment, named_set: str) -> dict[str, Mapping[str, Ob
     found = {}
     for condition in experiment.conditions.values():
         first = next(iter(condition.trials.values()))[0]
-        found[condition.name] = models_of(episodes.load(first.path), named_set)
+        found[condition.name] = models_of(episodes.load_episodes(first.path), named_set)
     return found
 
 

@@ -17,11 +17,13 @@ from mechsearch.types import Array, MechSearchError
 
 IDLENESS = ("every action", "nothing moved")
 
-PAPER = "paper"
+PAPER_REWARD = "paper"
 """Names the terms of the paper as the reward."""
 
 Reward = Callable[[float, float, Array, float, bool, float, "RewardConfig"], Mapping[str, float]]
 """What `terms` is, and what a user's reward must be."""
+
+_NOTHING_MOVED = (1.0, 1.0, np.zeros(1), 0.0, False, 0.0)
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class RewardConfig:
         still: Displacement up to which an object has not moved [m].
     """
 
-    function: str = PAPER
+    function: str = PAPER_REWARD
     uncovering: float = 2.5
     movement: float = 75.0
     gain_that_excuses: float = 0.05
@@ -50,13 +52,13 @@ class RewardConfig:
     still: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.function != PAPER and not is_entry_point(self.function):
+        if self.function != PAPER_REWARD and not is_entry_point(self.function):
             raise MechSearchError(
-                f"unknown reward function {self.function!r}; expected {PAPER!r} or "
+                f"unknown reward function {self.function!r}; expected {PAPER_REWARD!r} or "
                 "package.module:function"
             )
         for name, value in vars(self).items():
-            if isinstance(value, float) and not isfinite(value):
+            if not isinstance(value, str) and not isfinite(value):
                 raise MechSearchError(f"reward.{name} is {value}; expected a finite number")
         if self.idle_when not in IDLENESS:
             raise MechSearchError(
@@ -136,35 +138,37 @@ def reward_of(config: RewardConfig) -> tuple[Reward, tuple[str, ...]]:
         MechSearchError: If there is no such function, or it returns anything but finite numbers
             by name; the function that is returned raises so as well, or if the names change.
     """
-    function = (
-        terms if config.function == PAPER else load_entry_point(config.function, "reward function")
-    )
-    names = tuple(_checked(function(0.5, 0.5, np.zeros(1), 0.0, False, 0.02, config), config))
-    if config.function == PAPER:
-        return terms, names
+    if config.function == PAPER_REWARD:
+        return terms, tuple(terms(*_NOTHING_MOVED, config))
+    function = load_entry_point(config.function, "reward function")
+    names = tuple(_named_numbers(function(*_NOTHING_MOVED, config), config))
+    return _OwnReward(function, names), names
 
-    def checked(*args: Any) -> dict[str, float]:
-        found = _checked(function(*args), config)
-        if found.keys() != set(names):
+
+@dataclass(frozen=True)
+class _OwnReward:
+    """A user's reward, whose terms are checked after every action."""
+
+    function: Reward
+    names: tuple[str, ...]
+
+    def __call__(self, *action: Any) -> dict[str, float]:
+        config = action[-1]
+        found = _named_numbers(self.function(*action), config)
+        if found.keys() != set(self.names):
             raise MechSearchError(
-                f"reward function {config.function!r} returned {', '.join(found) or 'no term'}; "
-                f"expected {', '.join(names)} after every action"
+                f"reward function {config.function!r} returned {', '.join(found)}; expected "
+                f"{', '.join(self.names)} after every action"
             )
-        return {name: found[name] for name in names}
-
-    return checked, names
+        return {name: found[name] for name in self.names}
 
 
-def _checked(found: Any, config: RewardConfig) -> dict[str, float]:
+def _named_numbers(found: Any, config: RewardConfig) -> dict[str, float]:
     """Return terms as plain numbers."""
-    if not (
-        isinstance(found, Mapping)
-        and found
-        and all(isinstance(name, str) for name in found)
-        and all(isinstance(value, Real) and isfinite(value) for value in found.values())
-    ):
-        raise MechSearchError(
-            f"reward function {config.function!r} returned {found!r:.200}; expected a mapping of "
-            "names to finite numbers"
-        )
-    return {name: float(value) for name, value in found.items()}
+    named = isinstance(found, Mapping) and found and all(isinstance(name, str) for name in found)
+    if named and all(isinstance(v, Real) and isfinite(v) for v in found.values()):
+        return {name: float(value) for name, value in found.items()}
+    raise MechSearchError(
+        f"reward function {config.function!r} returned {found!r:.200}; expected a mapping of "
+        "names to finite numbers"
+    )

@@ -13,7 +13,7 @@ from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.types import Array, Floats, MechSearchError
 
-FORMAT = 1
+EPISODE_FORMAT = 1
 UNCOVERED = "uncovered"
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
@@ -128,7 +128,7 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
 
-def save(path: Path, evaluation: Evaluation) -> None:
+def save_episodes(path: Path, evaluation: Evaluation) -> None:
     """Write an evaluation as one `.npz`, whole or not at all.
 
     The same episodes give the same bytes.
@@ -143,7 +143,7 @@ def save(path: Path, evaluation: Evaluation) -> None:
     if any(tuple(episode.reward_terms) != terms for episode in episodes):
         raise MechSearchError("the episodes have different reward terms; expected the same in all")
     text = {
-        "format": FORMAT,
+        "format": EPISODE_FORMAT,
         "header": dict(evaluation.header),
         "terms": terms,
         "episodes": [_description(episode) for episode in episodes],
@@ -165,9 +165,9 @@ def load_some(path: Path, limit: int) -> Evaluation:
     """Read an evaluation, and keep so many of its episodes, evenly spread; all for 0.
 
     Raises:
-        MechSearchError: As `load`, or if there are not so many.
+        MechSearchError: As `load_episodes`, or if there are not so many.
     """
-    evaluation = load(path)
+    evaluation = load_episodes(path)
     count = len(evaluation.episodes)
     if not 0 <= limit <= count:
         raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
@@ -175,8 +175,8 @@ def load_some(path: Path, limit: int) -> Evaluation:
     return Evaluation(evaluation.header, chosen)
 
 
-def load(path: Path) -> Evaluation:
-    """Read what `save` wrote; nothing in the file is ever run.
+def load_episodes(path: Path) -> Evaluation:
+    """Read what `save_episodes` wrote; nothing in the file is ever run.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or not an evaluation.
@@ -186,9 +186,9 @@ def load(path: Path) -> Evaluation:
     arrays = read_arrays(path, "evaluation")
     try:
         text = json.loads(str(arrays["text"]))
-        if text["format"] != FORMAT:
+        if text["format"] != EPISODE_FORMAT:
             raise MechSearchError(
-                f"{path} has episode format {text['format']}; this version reads {FORMAT}"
+                f"{path} has episode format {text['format']}; this version reads {EPISODE_FORMAT}"
             )
         return Evaluation(text["header"], tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:

@@ -1,4 +1,4 @@
-"""Policies by name: baselines, teachers, trained actors and users' own."""
+"""Policies by name: baselines, teachers, trained and shipped ones and users' own."""
 
 import importlib
 import importlib.util
@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.entry_point import is_entry_point, load_entry_point
+from mechsearch.env.heap_env import TaskConfig, task_from_json
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
-from mechsearch.evaluation.shipped import SHIPPED, card, shipped_file
-from mechsearch.files import read_record
+from mechsearch.files import read_json, read_record
 from mechsearch.files.layout import CONFIG_FILE
+from mechsearch.observe.observation import IMAGE_KEYS
 from mechsearch.teachers import TEACHERS, make_teacher
 from mechsearch.types import MechSearchError, Observation, Policy
 
@@ -22,6 +23,12 @@ TRAINED_LOADER = "mechsearch.training.policies:load_policy"
 
 LOOK_AHEAD = "look-ahead"
 """Plans in the simulator, and takes some seconds a heap; a ceiling rather than a baseline."""
+
+SHIPPED_POLICIES = ("single", "dual")
+"""Conditions for which a trained policy is shipped, and the policies' names."""
+
+_FOLDER = Path(__file__).with_name("trained")
+_VIEW = {"camera": str, "image_size": int}
 
 
 class RandomPolicy:
@@ -81,17 +88,40 @@ def make_policy(spec: str) -> Policy:
         return LookAheadPolicy()
     if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:
         return make_teacher(spec.removeprefix("teacher-"))
-    if spec in SHIPPED:
+    if spec in SHIPPED_POLICIES:
         return _trained(shipped_file(spec))
     if _is_file_of_run(spec):
         return _trained(Path(spec))
     if is_entry_point(spec):
-        return _checked(load_entry_point(spec, "policy")(), spec)
-    known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED))
+        return checked_policy(load_entry_point(spec, "policy")(), spec)
+    known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED_POLICIES))
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {known}, a run "
         "directory, an actor's file (.safetensors), or package.module:factory"
     )
+
+
+def shipped_file(name: str) -> Path:
+    """Return the weights (.safetensors) of a shipped policy.
+
+    Raises:
+        MechSearchError: If there is none of that name.
+    """
+    if name not in SHIPPED_POLICIES:
+        raise MechSearchError(
+            f"no policy {name!r} is shipped; choose one of {', '.join(SHIPPED_POLICIES)}"
+        )
+    return _FOLDER / f"{name}.safetensors"
+
+
+def card(name: str) -> dict[str, Any]:
+    """Return a shipped policy's card: its data, configuration, seed and scores.
+
+    Raises:
+        MechSearchError: If there is none of that name, or the card is damaged.
+    """
+    found: dict[str, Any] = read_json(shipped_file(name).with_suffix(".json"), "policy's card")
+    return found
 
 
 def run_config(spec: str) -> Mapping[str, Any]:
@@ -102,7 +132,7 @@ def run_config(spec: str) -> Mapping[str, Any]:
     Raises:
         MechSearchError: If the configuration is damaged.
     """
-    if spec in SHIPPED:
+    if spec in SHIPPED_POLICIES:
         return {**card(spec)["config"], "name": spec}
     if not _is_file_of_run(spec):
         return {}
@@ -111,6 +141,50 @@ def run_config(spec: str) -> Mapping[str, Any]:
         if (folder / CONFIG_FILE).is_file():
             return read_record(folder / CONFIG_FILE, "training configuration")
     return {}
+
+
+def task_of(policy: Policy, run: Mapping[str, Any], camera: str) -> TaskConfig:
+    """Return the task that a policy is evaluated in where no other is asked for.
+
+    Args:
+        policy: Who acts.
+        run: Configuration of the run that it comes from, in any version's layout; empty for others.
+        camera: The heap set's view, for policies that are bound to none.
+
+    Raises:
+        MechSearchError: If the configuration is no good.
+    """
+    if "task" in run:
+        return task_from_json(TaskConfig, run["task"])
+    flat = {name: run[name] for name in _VIEW if name in run}
+    return task_from_json(TaskConfig, {"camera": camera} | flat | _view_of(policy, run))
+
+
+def check_view(policy: Policy, run: Mapping[str, Any], task: TaskConfig, name: str) -> None:
+    """Refuse a task whose images are not of the kind that a policy sees through.
+
+    A policy may say so by its attributes `camera` and `image_size` [px]; a trained one that reads
+    images is bound to those of its run. Who reads no images acts in any task.
+
+    Raises:
+        MechSearchError: Naming both.
+    """
+    view = {"camera": task.camera, "image_size": task.image_size}
+    bound = view | _view_of(policy, run)
+    if bound != view:
+        raise MechSearchError(
+            f"{name} sees through the {bound['camera']} camera at {bound['image_size']} px; the "
+            f"task has the {task.camera} camera at {task.image_size} px: choose the former, or "
+            "another policy"
+        )
+
+
+def _view_of(policy: Policy, run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the camera and the size of the images that a policy is bound to."""
+    known = dict(run.get("task", run)) if IMAGE_KEYS & set(policy.keys) else {}
+    said = {name: getattr(policy, name, None) for name in _VIEW}
+    known |= {name: value for name, value in said.items() if isinstance(value, _VIEW[name])}
+    return {name: known[name] for name in _VIEW if name in known}
 
 
 def _is_file_of_run(spec: str) -> bool:
@@ -124,10 +198,15 @@ def _trained(path: Path) -> Policy:
         raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
     # Other numbers of threads give other bits, and scores must not depend on the workers.
     importlib.import_module("torch").set_num_threads(1)
-    return _checked(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
+    return checked_policy(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
 
 
-def _checked(policy: object, spec: str) -> Policy:
+def checked_policy(policy: object, spec: str) -> Policy:
+    """Return a policy that a text, or a user, gave.
+
+    Raises:
+        MechSearchError: If it is none, naming what it lacks.
+    """
     if not isinstance(policy, Policy):
         missing = [name for name in ("keys", "reset", "act") if not hasattr(policy, name)]
         raise MechSearchError(

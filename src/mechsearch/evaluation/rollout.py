@@ -2,34 +2,34 @@
 
 import json
 import re
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, differing
+from mechsearch.env.register import embedded_file
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.look_ahead import Planner
-from mechsearch.evaluation.policies import make_policy, run_config
-from mechsearch.files.fingerprint import fingerprint
-from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
-from mechsearch.objects.catalog import load_object_set
-from mechsearch.processes import (
-    Failure,
-    Mapper,
-    Progress,
-    map_in_order,
-    silent,
+from mechsearch.evaluation.policies import (
+    SHIPPED_POLICIES,
+    check_view,
+    checked_policy,
+    make_policy,
+    run_config,
+    task_of,
 )
+from mechsearch.files.fingerprint import fingerprint
+from mechsearch.heaps.dataset import HeapSet, open_heaps
+from mechsearch.objects.model import ObjectSet
+from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError, Observation, Policy, select
-
-SPLITS = ("held-out", "train", "all")
 
 EPISODE_LIMIT = 600.0
 """Time after which an episode hangs [s]; it takes a few seconds."""
@@ -40,43 +40,48 @@ class EvaluationPlan:
     """One policy on the heaps of one file; all that a worker process needs to know.
 
     Attributes:
-        policy: Text for `make_policy`.
-        heaps: File of the heap set.
+        policy: Text for `make_policy`, or a policy, which must pickle to get to a worker process.
+        heaps: File of the heap set; None takes the embedded heaps of household objects, single
+            ones but for the policy "dual".
         name: Under which the policy is reported; empty takes the name of the run that it comes
             from, or else `policy`.
         objects: Object set; empty takes the one that the heap set names.
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly over the split; 0 takes all.
         seed: Of the policy's own randomness; starts depend on the heap alone.
-        camera: View of images and occlusion; empty takes the one that the policy was trained with,
-            or else the heap set's.
-        env: The rest of the task; its keys are replaced by those that the policy reads.
+        task: The task; None takes that of the run that the policy comes from, or else the default
+            one through the heap set's camera.
     """
 
-    policy: str
-    heaps: Path
+    policy: str | Policy
+    heaps: Path | None = None
     name: str = ""
     objects: str = ""
     split: str = "held-out"
     limit: int = 0
     seed: int = 0
-    camera: str = ""
-    env: HeapEnvConfig = field(default_factory=HeapEnvConfig)
+    task: TaskConfig | None = None
 
     def __post_init__(self) -> None:
-        if self.split not in SPLITS:
-            raise MechSearchError(
-                f"unknown split {self.split!r}; choose one of {', '.join(SPLITS)}"
-            )
         if self.limit < 0 or self.seed < 0:
             raise MechSearchError(
                 f"limit is {self.limit} and seed {self.seed}; expected neither below 0"
             )
 
+    @cached_property
+    def run(self) -> Mapping[str, Any]:
+        """Configuration of the run that the policy comes from; empty for others."""
+        return run_config(self.policy) if isinstance(self.policy, str) else {}
+
+    @property
+    def policy_text(self) -> str:
+        """The policy's text, or the name of its class."""
+        return self.policy if isinstance(self.policy, str) else type(self.policy).__name__
+
     @property
     def title(self) -> str:
         """The name under which the policy is reported."""
-        return self.name or str(run_config(self.policy).get("name", self.policy))
+        return self.name or str(self.run.get("name", self.policy_text))
 
 
 def run(
@@ -158,6 +163,40 @@ def _act(policy: Policy, obs: Observation, name: str) -> Array:
 
 
 def evaluate(
+    policy: str | Policy,
+    heaps: Path | str | None = None,
+    objects: str = "",
+    split: str = "held-out",
+    limit: int = 0,
+    seed: int = 0,
+    task: TaskConfig | None = None,
+    workers: int = 1,
+) -> Evaluation:
+    """Return one episode of a policy on each of some heaps: what `mechsearch evaluate` records.
+
+    Args:
+        policy: As on the command line, or a policy itself, which must pickle where `workers` > 1.
+        heaps: Heap set file; None takes the embedded heaps of household objects, single ones but
+            for the policy "dual".
+        objects: Object set; empty takes the one that the heap set names.
+        split: "held-out", "train" or "all" heaps.
+        limit: Number of heaps, spread evenly over the split; 0 takes all.
+        seed: Of the policy's own randomness; starts depend on the heap alone.
+        task: The task; None takes that of the run that the policy comes from, or else the default
+            one through the heap set's camera.
+        workers: Processes; the episodes do not depend on their number.
+
+    Raises:
+        MechSearchError: If something is named that does not exist or fit, the policy cannot see in
+            this task, or no episode could be run.
+    """
+    file = None if heaps is None else Path(heaps)
+    return evaluate_plan(
+        EvaluationPlan(policy, file, "", objects, split, limit, seed, task), workers
+    )
+
+
+def evaluate_plan(
     plan: EvaluationPlan,
     workers: int = 1,
     progress: Progress = silent,
@@ -167,7 +206,8 @@ def evaluate(
 
     A worker process that dies or hangs costs time only: its episode is run again. A heap that fails
     twice is quarantined: `quarantined` in the header has its seed and the reason, and `heaps` there
-    is the number of episodes and quarantined heaps together.
+    is the number of episodes and quarantined heaps together. `task_differs` says in what the task
+    is another than the policy's own.
 
     Args:
         plan: Policy, heaps and task.
@@ -178,31 +218,45 @@ def evaluate(
     Raises:
         MechSearchError: If the plan cannot be carried out, or no episode could be run.
     """
-    # Files may have changed since an equal plan was carried out in this process.
-    _prepared.cache_clear()
-    env, heap_set, indices, policy = _prepared(plan)
-    name = plan.title
+    rollouts = _Rollouts(plan)
+    if workers > 1 and not isinstance(plan.policy, str):
+        _check_that_it_travels(plan)
+    heaps, indices = rollouts.env.heaps, rollouts.heap_set.choose(plan.split, plan.limit)
     records: list[EpisodeRecord] = []
     simulated = 0
     quarantined: list[dict[str, Any]] = []
-    results = mapper(_Episode(plan, name), indices, workers, EPISODE_LIMIT, _quarantine)
+    results = mapper(rollouts, indices, workers, EPISODE_LIMIT, _quarantine)
     for i, (index, result) in enumerate(zip(indices, results, strict=True)):
         if isinstance(result, Failure):
-            quarantined.append({"heap": env.heaps[index].seed, "reason": result.reason})
+            quarantined.append({"heap": heaps[index].seed, "reason": result.reason})
         else:
             records.append(result[0])
             simulated += result[1]
-        progress(name, i + 1, len(indices))
+        progress(plan.title, i + 1, len(indices))
     if not records:
         first = quarantined[0]
         raise MechSearchError(
             f"all {len(indices)} heaps failed twice; the first, {first['heap']}: {first['reason']}"
         )
-    header = _header(plan, env, heap_set, policy)
-    header |= {"heaps": len(indices), "quarantined": quarantined}
-    if isinstance(policy, Planner):
+    header = rollouts.header | {"heaps": len(indices), "quarantined": quarantined}
+    if isinstance(rollouts.policy, Planner):
         header["simulated_actions"] = simulated
     return Evaluation(header, tuple(records))
+
+
+def in_task(plan: EvaluationPlan, change: Callable[[TaskConfig], TaskConfig]) -> EvaluationPlan:
+    """Return a plan in a changed task.
+
+    Args:
+        plan: What is planned.
+        change: Given the task that the plan is in by default, returns another.
+
+    Raises:
+        MechSearchError: If there is no such policy or heap set, or the policy cannot see there.
+    """
+    changed = replace(plan, task=change(_Rollouts(plan).own_task))
+    _ = _Rollouts(changed).task
+    return changed
 
 
 def file_name(evaluation: Evaluation) -> str:
@@ -214,79 +268,90 @@ def file_name(evaluation: Evaluation) -> str:
     return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-")
 
 
+def _check_that_it_travels(plan: EvaluationPlan) -> None:
+    try:
+        ForkingPickler.dumps(plan.policy)
+    except Exception as error:  # noqa: BLE001
+        raise MechSearchError(
+            f"the policy {plan.policy_text} cannot be handed to worker processes ({error}); "
+            "expected workers=1, or the policy as package.module:factory"
+        ) from None
+
+
 def _quarantine(index: int, failure: Failure) -> Failure:
     return failure
 
 
 @dataclass(frozen=True)
-class _Episode:
-    """One heap's episode and the actions simulated to plan it, in whichever process."""
+class _Rollouts:
+    """The episodes of a plan, and what they need, prepared once in each process."""
 
     plan: EvaluationPlan
-    name: str
 
     def __call__(self, index: int) -> tuple[EpisodeRecord, int] | Failure:
-        env, _, _, policy = _prepared(self.plan)
-        record = run_episode(policy, env, index, self.plan.seed, self.name)
-        return record, policy.simulated_actions if isinstance(policy, Planner) else 0
+        """Return the episode on a heap, and the number of actions simulated to plan it."""
+        record = run_episode(self.policy, self.env, index, self.plan.seed, self.plan.title)
+        return record, self.policy.simulated_actions if isinstance(self.policy, Planner) else 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {"plan": self.plan}
 
-@lru_cache(maxsize=1)
-def _prepared(plan: EvaluationPlan) -> tuple[HeapEnv, HeapSet, tuple[int, ...], Policy]:
-    """Return a plan's environment, heap set, heap indices and policy, once for each process."""
-    heap_set = load(plan.heaps)
-    objects = load_object_set(plan.objects or heap_set.manifest["config"]["objects"])
-    check_objects(heap_set, objects)
-    policy = make_policy(plan.policy)
-    run = run_config(plan.policy)
-    config = replace(
-        plan.env,
-        keys=tuple(policy.keys),
-        privileged=False,
-        camera=plan.camera or run.get("camera", heap_set.camera),
-        image_size=run.get("image_size", plan.env.image_size),
-    )
-    return HeapEnv(heap_set.heaps, objects, config), heap_set, _chosen(heap_set, plan), policy
+    @cached_property
+    def policy(self) -> Policy:
+        policy = self.plan.policy
+        if isinstance(policy, str):
+            return make_policy(policy)
+        return checked_policy(policy, self.plan.policy_text)
 
+    @cached_property
+    def opened(self) -> tuple[HeapSet, ObjectSet]:
+        policy = self.plan.policy
+        condition = policy if isinstance(policy, str) and policy in SHIPPED_POLICIES else "single"
+        return open_heaps(self.plan.heaps or embedded_file(condition), self.plan.objects)
 
-def _chosen(heap_set: HeapSet, plan: EvaluationPlan) -> tuple[int, ...]:
-    held_out = {"held-out": (True,), "train": (False,), "all": (True, False)}[plan.split]
-    indices = [i for i, heap in enumerate(heap_set.heaps) if heap.held_out in held_out]
-    if not indices:
-        raise MechSearchError(f"{plan.heaps} has no {plan.split} heaps")
-    if plan.limit > len(indices):
-        raise MechSearchError(
-            f"{plan.limit} heaps asked for; {plan.heaps} has {len(indices)} {plan.split} heaps"
-        )
-    return tuple(indices[i] for i in evenly_spread(len(indices), plan.limit or len(indices)))
+    @property
+    def heap_set(self) -> HeapSet:
+        return self.opened[0]
 
+    @cached_property
+    def own_task(self) -> TaskConfig:
+        return task_of(self.policy, self.plan.run, self.heap_set.camera)
 
-def _header(
-    plan: EvaluationPlan, env: HeapEnv, heap_set: HeapSet, policy: Policy
-) -> dict[str, Any]:
-    used = {name for heap in heap_set.heaps for name in heap.objects}
-    header = {
-        "name": plan.title,
-        "policy": plan.policy,
-        "keys": list(policy.keys),
-        "seed": plan.seed,
-        "trained": hasattr(policy, "training_actions"),
-        "training_seed": run_config(plan.policy).get("seed"),
-        "training_actions": int(getattr(policy, "training_actions", 0)),
-        "heap_set": heap_set.hash,
-        "condition": heap_set.manifest["config"]["condition"],
-        "object_set": plan.objects or heap_set.manifest["config"]["objects"],
-        "object_hashes": {
-            name: digest
-            for name, digest in heap_set.manifest["object_hashes"].items()
-            if name in used
-        },
-        "split": plan.split,
-        "env": asdict(env.config),
-        "engine": ENGINE_VERSION,
-        "version": version("mechsearch"),
-        "fingerprint": fingerprint(),
-    }
-    # As it will be read back: lists for tuples.
-    plain: dict[str, Any] = json.loads(json.dumps(header))
-    return plain
+    @cached_property
+    def task(self) -> TaskConfig:
+        task = self.plan.task or self.own_task
+        check_view(self.policy, self.plan.run, task, self.plan.title)
+        return task
+
+    @cached_property
+    def env(self) -> HeapEnv:
+        config = HeapEnvConfig.of_task(self.task, self.policy.keys)
+        return HeapEnv(self.heap_set.heaps, self.opened[1], config)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        plan, heap_set = self.plan, self.heap_set
+        used = {name for heap in heap_set.heaps for name in heap.objects}
+        hashes = heap_set.manifest["object_hashes"]
+        header = {
+            "name": plan.title,
+            "policy": plan.policy_text,
+            "keys": list(self.policy.keys),
+            "seed": plan.seed,
+            "trained": hasattr(self.policy, "training_actions"),
+            "training_seed": plan.run.get("seed"),
+            "training_actions": int(getattr(self.policy, "training_actions", 0)),
+            "heap_set": heap_set.hash,
+            "condition": heap_set.condition,
+            "object_set": plan.objects or heap_set.objects,
+            "object_hashes": {name: digest for name, digest in hashes.items() if name in used},
+            "split": plan.split,
+            "env": asdict(self.env.config),
+            "task_differs": differing(self.own_task, self.task),
+            "engine": ENGINE_VERSION,
+            "version": version("mechsearch"),
+            "fingerprint": fingerprint(),
+        }
+        # As it will be read back: lists for tuples.
+        plain: dict[str, Any] = json.loads(json.dumps(header))
+        return plain

@@ -2,31 +2,23 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, task_from_json
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.rollout import EPISODE_LIMIT, run_episode
-from mechsearch.files import record_from_json
-from mechsearch.heaps.dataset import check_objects, load
-from mechsearch.objects.catalog import load_object_set
-from mechsearch.processes import (
-    Failure,
-    Mapper,
-    Progress,
-    map_in_order,
-    silent,
-)
+from mechsearch.heaps.dataset import open_heaps
+from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.types import Array, MechSearchError, Observation
 
 _COMPARED = ("actions", "ee_positions", "poses", "occlusions", "clutter_moved", "target_moved")
 
 
 @dataclass(frozen=True)
-class Replay:
+class EpisodeCheck:
     """What playing one recorded episode again has shown.
 
     Attributes:
@@ -51,7 +43,7 @@ def replay_all(
     workers: int = 1,
     progress: Progress = silent,
     mapper: Mapper = map_in_order,
-) -> Iterator[Replay]:
+) -> Iterator[EpisodeCheck]:
     """Yield what playing each episode again shows, in their order.
 
     Physics, occlusion and reward are computed anew from heap, starting point and actions; the
@@ -68,18 +60,16 @@ def replay_all(
     Raises:
         MechSearchError: If the heap set is another, or the objects are.
     """
-    heap_set = load(heaps)
+    spec = objects or str(evaluation.header["object_set"])
+    heap_set, _ = open_heaps(heaps, spec)
     if heap_set.hash != evaluation.header["heap_set"]:
         raise MechSearchError(
             f"{heaps} has the hash {heap_set.hash[:12]}; these episodes ran on the heap set "
             f"{str(evaluation.header['heap_set'])[:12]}"
         )
-    spec = objects or str(evaluation.header["object_set"])
-    check_objects(heap_set, load_object_set(spec))
-    config = record_from_json(HeapEnvConfig, evaluation.header["env"])
+    config = task_from_json(HeapEnvConfig, evaluation.header["env"])
     # No image is looked at: what is recorded does not depend on what the policy saw.
-    task = replace(config, keys=("ee_position",))
-    play = _Play(heaps, spec, task)
+    play = _Play(heaps, spec, replace(config, keys=("ee_position",)))
     name = f"{evaluation.header['name']} played again"
     results = mapper(play, evaluation.episodes, workers, EPISODE_LIMIT, _failed)
     for i, found in enumerate(results):
@@ -87,9 +77,9 @@ def replay_all(
         yield found
 
 
-def compare(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[str, ...]:
+def differences(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[str, ...]:
     """Return in what two records of an episode differ, bit by bit."""
-    differences = []
+    found = []
     pairs = {name: (getattr(recorded, name), getattr(played, name)) for name in _COMPARED}
     for term in dict.fromkeys((*recorded.reward_terms, *played.reward_terms)):
         nothing = np.empty(0)
@@ -99,12 +89,12 @@ def compare(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[str, ...]:
         )
     for name, (before, now) in pairs.items():
         if before.shape != now.shape:
-            differences.append(f"{name} of {len(now)} entries instead of {len(before)}")
+            found.append(f"{name} of {len(now)} entries instead of {len(before)}")
         elif before.tobytes() != now.tobytes():
-            differences.append(f"{name} from {_first(before, now)} on")
+            found.append(f"{name} from {_first(before, now)} on")
     if recorded.end != played.end:
-        differences.append(f"the end, {played.end!r} instead of {recorded.end!r}")
-    return tuple(differences)
+        found.append(f"the end, {played.end!r} instead of {recorded.end!r}")
+    return tuple(found)
 
 
 def _first(before: Array, now: Array) -> int:
@@ -113,32 +103,37 @@ def _first(before: Array, now: Array) -> int:
     return int(np.argmax((before.reshape(rows) != now.reshape(rows)).any(axis=1)))
 
 
-def _failed(record: EpisodeRecord, failure: Failure) -> Replay:
-    return Replay(record.heap_seed, (failure.reason,))
+def _failed(record: EpisodeRecord, failure: Failure) -> EpisodeCheck:
+    return EpisodeCheck(record.heap_seed, (failure.reason,))
 
 
 @dataclass(frozen=True)
 class _Play:
-    """Plays a recorded episode again, in whichever process."""
+    """Plays recorded episodes again, in whichever process."""
 
     heaps: Path
     objects: str
     config: HeapEnvConfig
 
-    def __call__(self, record: EpisodeRecord) -> Replay:
-        env = _prepared(self)
+    def __call__(self, record: EpisodeRecord) -> EpisodeCheck:
+        env = self._env
         found = [
             i
             for i, heap in enumerate(env.heaps)
             if (heap.seed, heap.condition) == (record.heap_seed, record.condition)
         ]
         if not found:
-            return Replay(record.heap_seed, ("its heap is not in the set",))
+            return EpisodeCheck(record.heap_seed, ("its heap is not in the set",))
         try:
             played = run_episode(_Recorded(record.actions), env, found[0], name=record.policy)
         except MechSearchError as error:
-            return Replay(record.heap_seed, (str(error),))
-        return Replay(record.heap_seed, compare(record, played))
+            return EpisodeCheck(record.heap_seed, (str(error),))
+        return EpisodeCheck(record.heap_seed, differences(record, played))
+
+    @cached_property
+    def _env(self) -> HeapEnv:
+        heap_set, objects = open_heaps(self.heaps, self.objects)
+        return HeapEnv(heap_set.heaps, objects, self.config)
 
 
 class _Recorded:
@@ -158,9 +153,3 @@ class _Recorded:
         if action is None:
             raise MechSearchError("it goes on after the last recorded action")
         return np.asarray(action)
-
-
-@lru_cache(maxsize=1)
-def _prepared(play: _Play) -> HeapEnv:
-    """Return the environment, once for each process."""
-    return HeapEnv(load(play.heaps).heaps, load_object_set(play.objects), play.config)

@@ -12,7 +12,7 @@ from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.policies import LOOK_AHEAD
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, file_name
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name
 from mechsearch.experiments.curves import write_curves
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
@@ -228,7 +228,7 @@ class Scoring(Job):
         if len(files) > 1:
             names = ", ".join(file.name for file in files)
             raise MechSearchError(f"{files[0].parent} holds {names}; expected one of them")
-        evaluation = episodes.load(files[0])
+        evaluation = episodes.load_episodes(files[0])
         mark = self._mark
         for key, value in (self._expected | mark).items():
             # Earlier versions left no mark.
@@ -248,7 +248,7 @@ class Scoring(Job):
 
     def carry_out(self) -> None:
         """Record the episodes, and enter their scores into the summary."""
-        evaluation = evaluate(
+        evaluation = evaluate_plan(
             EvaluationPlan(
                 self._policy, self.heaps, objects=self.plan.objects, limit=self.plan.final_heaps
             )
@@ -259,7 +259,7 @@ class Scoring(Job):
             evaluation = self.grasp(evaluation)
         evaluation = replace(evaluation, header={**evaluation.header, **self._mark})
         place = self.folder.evaluations(self.condition)
-        episodes.save(place / f"{file_name(evaluation)}.npz", evaluation)
+        episodes.save_episodes(place / f"{file_name(evaluation)}.npz", evaluation)
         summary.merge(self.folder.summary, summary.rows_of(self.plan.experiment, evaluation))
 
 

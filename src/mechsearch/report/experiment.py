@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.evaluation.episodes import Evaluation, load
+from mechsearch.evaluation.episodes import Evaluation, load_episodes
 from mechsearch.evaluation.metrics import measure
 from mechsearch.files import read_record
 from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE, PLAN_FILE
@@ -192,7 +192,9 @@ def ordered(names: Iterable[str]) -> list[str]:
 
 
 def _condition(folder: Path) -> Condition:
-    trials = [_trial(path, load(path)) for path in sorted((folder / "evaluations").glob("*.npz"))]
+    trials = [
+        _trial(path, load_episodes(path)) for path in sorted((folder / "evaluations").glob("*.npz"))
+    ]
     for trial in trials:
         _check(trial, folder.name, trials[0])
     groups = _grouped(_longest(trials), lambda trial: trial.name)

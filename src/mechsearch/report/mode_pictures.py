@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from PIL import Image
 
-from mechsearch.evaluation.episodes import load
+from mechsearch.evaluation.episodes import load_episodes
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip
 from mechsearch.report.document import Block, Picture
@@ -52,7 +52,7 @@ def _picture(
     condition: Condition, mode: str, trial: Trial, index: int, models: Mapping[str, ObjectModel]
 ) -> Picture:
     seed = int(trial.heaps[index])
-    record = next(one for one in load(trial.path).episodes if one.heap_seed == seed)
+    record = next(one for one in load_episodes(trial.path).episodes if one.heap_seed == seed)
     strip = filmstrip(Film(record, models, FilmConfig(size=_SIZE)), _FRAMES)
     first, last = record.occlusions[0], record.occlusions[-1]
     caption = (

@@ -26,15 +26,15 @@ class TrainedPolicy:
         policy: What acts.
         algorithm: What it was learnt by.
         training_actions: Actions executed in its training.
-        camera: View that it was trained with; empty if it is not known.
-        image_size: Side of its images [px]; 0 likewise.
+        camera: View that it was trained with, if it is known.
+        image_size: Side of its images [px], likewise.
     """
 
     policy: Policy
     algorithm: Algorithm
     training_actions: int = 0
-    camera: str = ""
-    image_size: int = 0
+    camera: str | None = None
+    image_size: int | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -86,9 +86,8 @@ def load_policy(path: Path) -> TrainedPolicy:
         ) from None
     archive = load_archive(file, kind)
     facts = dict(archive.meta)
-    known = {
-        name: facts.pop(name)
-        for name in ("training_actions", "camera", "image_size")
-        if name in facts
-    }
+    # Earlier versions kept the view with policies of pushes alone.
+    kept = {**facts.get("policy", {}), **facts}
+    names = ("training_actions", "camera", "image_size")
+    known = {name: kept[name] for name in names if name in kept}
     return TrainedPolicy(algorithm.load(archive.tensors, facts), algorithm, **known)
