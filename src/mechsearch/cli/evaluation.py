@@ -26,8 +26,8 @@ from mechsearch.report.page import pictured
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
-_GRASPING = "mechsearch.cli.graspability"
-"""Imported where it is asked for: it needs PyTorch, which `evaluate` does not."""
+_GRASPING = ("mechsearch.retrieval.episodes", "mechsearch.cli.grasping")
+"""Imported where they are asked for: they need PyTorch, which `evaluate` does not."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Evaluate(Command):
                 evaluation = record(self._plan(policy), self.out, workers, mapper)
                 if grasping:
                     with bars() as progress:
-                        evaluation = grasping.measured(evaluation, progress)
+                        evaluation = grasping.assessed(evaluation, progress)
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
@@ -124,15 +124,14 @@ class Evaluate(Command):
             return None
         if importlib.util.find_spec("torch") is None:
             raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
-        importlib.import_module("mechsearch.grasp.network").load_network(self.grasp_network)
-        kind = importlib.import_module(_GRASPING).Grasping
-        return kind(self.grasp_network, self.objects, self.workers)
+        assessor = importlib.import_module(_GRASPING[0]).EpisodeAssessor
+        return assessor(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
         shown = [tables.score_table(scores)]
         if self.grasps or self.grasp_network:
-            shown.append(importlib.import_module(_GRASPING).table(evaluations))
+            shown.append(importlib.import_module(_GRASPING[1]).retrieval_table(evaluations))
         if not self.brief:
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]

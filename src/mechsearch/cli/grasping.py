@@ -1,39 +1,42 @@
 """`mechsearch grasp score` and `mechsearch grasp lift`; both need PyTorch."""
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.metrics import score
 from mechsearch.files import write_whole
+from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.film import lift_strip
-from mechsearch.grasp.image_file import read_view
-from mechsearch.grasp.network import GraspNetwork, load_network
+from mechsearch.grasp.grasp_view import check_opening, view_of_heap
+from mechsearch.grasp.graspability import BEST, rate
+from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK
 from mechsearch.grasp.picture import draw_grasps, grid, stacked
-from mechsearch.grasp.policy import rate
-from mechsearch.grasp.quality import BEST, Graspability, ceiling, graspability
-from mechsearch.grasp.retrieval import Lifted, LiftTask, lift_all
-from mechsearch.grasp.view import (
-    GraspView,
-    check_opening,
-    view_of_heap,
-)
-from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.heaps.dataset import open_heaps
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.report.tables import Table, to_text
+from mechsearch.report.tables import Table, cell, to_text
+from mechsearch.retrieval.assessment import (
+    AssessmentSummary,
+    GraspAssessment,
+    GraspTask,
+    assess_all,
+    film_lift,
+    shared_network,
+    summarise,
+)
+from mechsearch.retrieval.episodes import mean_graspability
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
 
 @dataclass(frozen=True)
-class Score(Command):
+class ScoreGrasps(Command):
     """Rate the grasps on targets, in the heaps of a set or in a depth image of your own.
 
     Attributes:
@@ -68,61 +71,67 @@ class Score(Command):
         if (self.heaps is None) == (self.depth is None):
             raise MechSearchError("name either --heaps, or --depth with --mask and --intrinsics")
         check_opening(self.opening)
-        network = load_network(self.network)
-        if self.depth is not None:
-            view = read_view(self.depth, self.mask, self.intrinsics, self.depth_scale)
-            pictures = [self._score_image(network, view)]
-        else:
-            assert self.heaps is not None
-            pictures = self._score_heaps(network, self.heaps)
-        if self.out:
-            write_whole(self.out, grid(pictures).save)
+        shared_network(self._network)
+        picture = self._score_image(self.depth) if self.depth else self._score_heaps(self.heaps)
+        if self.out and picture:
+            write_whole(self.out, picture.save)
             wrote(self.out)
 
-    def _score_image(self, network: GraspNetwork, view: GraspView) -> Image.Image:
-        ratings = rate(network, view)
-        grasps = ratings.best(BEST)
-        score = float(np.mean([grasp.quality for grasp in grasps]))
-        say(f"graspability {score:.3f}, the mean quality of the {len(grasps)} best grasps")
+    @property
+    def _network(self) -> Path:
+        return self.network or SHIPPED_GRASP_NETWORK
+
+    def _score_image(self, depth: Path) -> Image.Image:
+        view = read_view(depth, self.mask, self.intrinsics, self.depth_scale)
+        ratings = rate(shared_network(self._network), view)
+        found, apart = ratings.graspability, ratings.best_apart(BEST)
+        count = len(ratings.best(BEST))
+        say(f"graspability {found.score:.3f}, the mean quality of the {count} best grasps")
         rows = tuple(
             (
                 f"{g.column:.0f}", f"{g.row:.0f}", f"{g.depth:.3f}",
                 f"{np.rad2deg(g.angle):.0f}", f"{g.quality:.3f}",
                 " ".join(f"{value:+.3f}" for value in g.pose(view.camera)[:3]),
             )
-            for g in ratings.best_apart(BEST)
+            for g in apart
         )  # fmt: skip
         columns = ("column", "row", "depth [m]", "angle [deg]", "quality", "x y z [m]")
         say(to_text(Table("Best grasps that differ, in the camera's frame", columns, rows)))
-        return draw_grasps(view, ratings.best_apart(BEST), f"graspability {score:.2f}")
+        return grid([draw_grasps(view, apart, f"graspability {found.score:.2f}")])
 
-    def _score_heaps(self, network: GraspNetwork, path: Path) -> list[Image.Image]:
-        heap_set, heaps = chosen_heaps(path, self.objects, self.split, self.limit)
-        known = objects_of(heap_set, self.objects).models
-        rows, found, pictures = [], [], []
+    def _score_heaps(self, path: Path | None) -> Image.Image | None:
+        assert path is not None
+        spec, heaps, models = _chosen(path, self.objects, self.split, self.limit)
+        tasks = [
+            GraspTask(spec, h.objects, h.poses, h.target, self._network, alone=True, best=0)
+            for h in heaps
+        ]
         with bars() as progress:
-            for i, heap in enumerate(heaps):
-                models = [known[name] for name in heap.objects]
-                now = graspability(network, models, heap.poses, heap.target)
-                alone = ceiling(network, models[heap.target], heap.poses[heap.target])
-                found.append((now, alone))
-                rows.append(_scored(heap, now, alone))
-                if self.out:
-                    pictures.append(_picture(network, heap, models, now, self.opening))
-                progress("scored", i + 1, len(heaps))
-        columns = ("target", "objects", "occlusion", "graspability", "ten apart", "ceiling")
-        means = [np.mean([value.score for value in side]) for side in zip(*found, strict=True)]
-        hidden = sum(not now.visible for now, _ in found)
-        say(to_text(Table("Graspability of each target", columns, tuple(rows))))
+            found = assess_all(tasks, progress=progress)
+        say(to_text(_score_table(heaps, found)))
+        means = summarise(found)
         say(
-            f"mean graspability {means[0]:.3f} over {len(heaps)} heaps ({hidden} with no visible "
-            f"target), ceiling {means[1]:.3f}"
+            f"mean graspability {means.graspability:.3f} over {len(heaps)} heaps ({means.hidden} "
+            f"with no visible target), ceiling {means.ceiling:.3f}"
         )
-        return pictures
+        if not self.out:
+            return None
+        return grid([self._picture(*drawn) for drawn in zip(heaps, models, found, strict=True)])
+
+    def _picture(
+        self, heap: Heap, models: list[ObjectModel], found: GraspAssessment
+    ) -> Image.Image:
+        view = view_of_heap(models, heap.poses, heap.target)
+        if not found.now.visible:
+            # Nothing to draw on the target: the whole image, without grasps.
+            view = replace(view, mask=np.ones_like(view.mask))
+            return draw_grasps(view, [], f"{_target(heap)}: not visible", self.opening, margin=0)
+        grasps = rate(shared_network(self._network), view).best_apart(BEST)
+        return draw_grasps(view, grasps, f"{_target(heap)}: {found.now.score:.2f}", self.opening)
 
 
 @dataclass(frozen=True)
-class Lift(Command):
+class LiftGrasps(Command):
     """Lift each target with the grasp that a network finds best, in simulation.
 
     Attributes:
@@ -155,114 +164,100 @@ class Lift(Command):
         check_opening(self.opening)
         if self.repeats < 0:
             raise MechSearchError(f"{self.repeats} repeats; expected 0 or more")
-        network = load_network(self.network)
-        heap_set, heaps = chosen_heaps(self.heaps, self.objects, self.split, self.limit)
-        spec = self.objects or str(heap_set.manifest["config"]["objects"])
-        known = objects_of(heap_set, self.objects).models
-        tasks, scores = [], []
+        network = self.network or SHIPPED_GRASP_NETWORK
+        shared_network(network)
+        spec, heaps, models = _chosen(self.heaps, self.objects, self.split, self.limit)
+        tasks = [self._task(spec, network, heap) for heap in heaps]
         with bars() as progress:
-            for i, heap in enumerate(heaps):
-                models = [known[name] for name in heap.objects]
-                now = graspability(network, models, heap.poses, heap.target)
-                tasks.append(self._task(spec, heap, now))
-                scores.append(now)
-                progress("planned", i + 1, len(heaps))
-            results = []
-            for i, result in enumerate(lift_all(tasks, self.workers)):
-                results.append(result)
-                progress("lifted", i + 1, len(heaps))
-        self._report(heaps, scores, results)
+            found = assess_all(tasks, self.workers, progress)
+        say(to_text(_lift_table(heaps, found)))
+        say(_described(summarise(found), len(heaps)))
         if self.out:
             strips = [
-                _strip(task, heap, [known[name] for name in heap.objects])
-                for task, heap in zip(tasks, heaps, strict=True)
-                if len(task.grasps)
+                self._strip(heap, own, assessment.now.best)
+                for heap, own, assessment in zip(heaps, models, found, strict=True)
+                if assessment.now.best is not None
             ]
             if not strips:
                 raise MechSearchError("no target is visible in these heaps: there is no film")
             write_whole(self.out, stacked(strips).save)
             wrote(self.out)
 
-    def _task(self, spec: str, heap: Heap, now: Graspability) -> LiftTask:
-        grasps = np.empty((0, 7)) if now.best is None else now.best[None]
-        gripper = Gripper(opening=self.opening)
+    def _task(self, objects: str, network: Path, heap: Heap) -> GraspTask:
         seed = int(np.random.SeedSequence([self.seed, heap.seed]).generate_state(1)[0])
-        return LiftTask(
-            spec, heap.objects, heap.poses, heap.target, grasps, self.repeats, seed, gripper
-        )
+        return GraspTask(
+            objects, heap.objects, heap.poses, heap.target, network, repeats=self.repeats,
+            seed=seed, gripper=Gripper(opening=self.opening),
+        )  # fmt: skip
 
-    def _report(
-        self, heaps: Sequence[Heap], scores: Sequence[Graspability], results: list[list[Lifted]]
-    ) -> None:
-        rows, outcomes = [], Counter[str]()
-        planned = probability = 0.0
-        for heap, score, lifted in zip(heaps, scores, results, strict=True):
-            cells = (heap.objects[heap.target].replace("_", " "), str(len(heap.objects)))
-            if not lifted:
-                rows.append((*cells, f"{score.score:.2f}", "not visible", "0%"))
-                continue
-            result = lifted[0]
-            planned += result.planned is Outcome.SUCCESS
-            probability += result.probability
-            outcomes.update(map(str, result.repeats or (result.planned,)))
-            rows.append(
-                (*cells, f"{score.score:.2f}", str(result.planned), f"{result.probability:.0%}")
-            )
-        columns = ("target", "objects", "graspability", "as planned", "perturbed")
-        say(to_text(Table("The best grasp on each target, executed", columns, tuple(rows))))
-        say(", ".join(f"{name} {count}" for name, count in outcomes.most_common()))
-        say(
-            f"retrieval {planned / len(heaps):.0%} of {len(heaps)} targets as planned, "
-            f"{probability / len(heaps):.0%} of all perturbed executions"
-        )
+    def _strip(self, heap: Heap, models: list[ObjectModel], grasp: Floats) -> Image.Image:
+        gripper = Gripper(opening=self.opening)
+        outcome, film = film_lift(models, heap.poses, heap.target, grasp, gripper)
+        return lift_strip(film, models, gripper, heap.target, f"{_target(heap)}: {outcome}")
 
 
-def chosen_heaps(path: Path, objects: str, split: str, limit: int) -> tuple[HeapSet, list[Heap]]:
-    """Return a heap set and the heaps of a split, evenly spread where there is a limit.
-
-    Raises:
-        MechSearchError: If the objects differ, or split or limit do not fit the set.
-    """
-    heap_set = load(path)
-    check_objects(heap_set, objects_of(heap_set, objects))
-    splits = {"held-out": heap_set.held_out, "train": heap_set.train, "all": list(heap_set.heaps)}
-    if split not in splits:
-        raise MechSearchError(f"unknown split {split!r}; choose one of {', '.join(splits)}")
-    heaps = splits[split]
-    if not heaps or not 0 <= limit <= len(heaps):
-        raise MechSearchError(
-            f"{limit or 'all'} heaps asked for; {path} has {len(heaps)} {split} heaps"
-        )
-    return heap_set, [heaps[i] for i in evenly_spread(len(heaps), limit or len(heaps))]
+def retrieval_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """Return policies in rows, and what grasps are worth before and after in columns."""
+    columns = (
+        "policy", "graspability before", "after", "change", "clutter removed",
+        "retrieved before [%]", "after [%]",
+    )  # fmt: skip
+    rows = tuple(_retrieval_row(name, evaluation) for name, evaluation in evaluations.items())
+    return Table("Graspability and retrieval of the target", columns, rows)
 
 
-def _scored(heap: Heap, now: Graspability, alone: Graspability) -> tuple[str, ...]:
+def _retrieval_row(name: str, evaluation: Evaluation) -> tuple[str, ...]:
+    before, after, alone = mean_graspability(evaluation)
+    scores = score(evaluation.episodes)
     return (
-        heap.objects[heap.target].replace("_", " "), str(len(heap.objects)),
-        f"{heap.occlusion:.0%}", f"{now.score:.3f}", f"{now.diverse:.3f}", f"{alone.score:.3f}",
+        name, f"{before:.2f}", f"{after:.2f}",
+        cell("graspability_change", scores["graspability_change"], signed=True), f"{alone:.2f}",
+        cell("retrieval_before", scores["retrieval_before"]),
+        cell("retrieval_after", scores["retrieval_after"]),
     )  # fmt: skip
 
 
-def _picture(
-    network: GraspNetwork,
-    heap: Heap,
-    models: list[ObjectModel],
-    now: Graspability,
-    opening: float,
-) -> Image.Image:
-    view = view_of_heap(models, heap.poses, heap.target)
-    name = heap.objects[heap.target].replace("_", " ")
-    if not now.visible:
-        # Nothing to draw on the target: the whole image, without grasps.
-        view = replace(view, mask=np.ones_like(view.mask))
-        return draw_grasps(view, [], f"{name}: not visible", opening, margin=0)
-    grasps = rate(network, view).best_apart(BEST)
-    return draw_grasps(view, grasps, f"{name}: {now.score:.2f}", opening)
+def _score_table(heaps: list[Heap], found: list[GraspAssessment]) -> Table:
+    rows = tuple(
+        (
+            _target(heap), str(len(heap.objects)), f"{heap.occlusion:.0%}", f"{a.now.score:.3f}",
+            f"{a.now.diverse:.3f}", f"{a.alone.score:.3f}" if a.alone else "",
+        )
+        for heap, a in zip(heaps, found, strict=True)
+    )  # fmt: skip
+    columns = ("target", "objects", "occlusion", "graspability", "ten apart", "ceiling")
+    return Table("Graspability of each target", columns, rows)
 
 
-def _strip(task: LiftTask, heap: Heap, models: list[ObjectModel]) -> Image.Image:
-    film: list[LiftFrame] = []
-    world = LiftWorld(models, task.gripper, task.config)
-    outcome = world.lift(task.poses, task.target, task.grasps[0], film=film)
-    caption = f"{heap.objects[heap.target].replace('_', ' ')}: {outcome}"
-    return lift_strip(film, models, task.gripper, task.target, caption)
+def _lift_table(heaps: list[Heap], found: list[GraspAssessment]) -> Table:
+    rows = tuple(
+        (
+            _target(heap), str(len(heap.objects)), f"{a.now.score:.2f}",
+            str(a.retrieved or "not visible"), f"{a.lifts[0].probability if a.lifts else 0:.0%}",
+        )
+        for heap, a in zip(heaps, found, strict=True)
+    )  # fmt: skip
+    columns = ("target", "objects", "graspability", "as planned", "perturbed")
+    return Table("The best grasp on each target, executed", columns, rows)
+
+
+def _described(means: AssessmentSummary, targets: int) -> str:
+    counts = ", ".join(f"{name} {count}" for name, count in means.outcomes.items())
+    return (
+        f"{counts}\nretrieval {means.retrieved:.0%} of {targets} targets as planned, "
+        f"{means.probability:.0%} of all perturbed executions"
+    )
+
+
+def _chosen(
+    path: Path, objects: str, split: str, limit: int
+) -> tuple[str, list[Heap], list[list[ObjectModel]]]:
+    """Return an object set as it is named, heaps, and the objects of each."""
+    heap_set, found = open_heaps(path, objects)
+    heaps = [heap_set.heaps[i] for i in heap_set.choose(split, limit)]
+    models = [[found.models[name] for name in heap.objects] for heap in heaps]
+    return objects or heap_set.objects, heaps, models
+
+
+def _target(heap: Heap) -> str:
+    return heap.objects[heap.target].replace("_", " ")

@@ -2,13 +2,11 @@
 
 import sys
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mechsearch.cli.command import WORKERS, Command, say, spread, wrote
-from mechsearch.cli.graspability import Grasping
-from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
@@ -19,8 +17,9 @@ from mechsearch.experiments.status import (
     status_of,
 )
 from mechsearch.grasp.network import load_network
-from mechsearch.processes import map_in_order, map_long_work, silent
+from mechsearch.processes import map_in_order, map_long_work
 from mechsearch.report.tables import Table, to_text
+from mechsearch.retrieval.episodes import assess_evaluation
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class Sweep(Command):
             load_network(_network(plan))
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             long = map_long_work if mapper is map_in_order else mapper
-            grasp, tell = Grasped(_network(plan)), _Teller()
+            grasp, tell = partial(assess_evaluation, network=_network(plan)), _Teller()
             found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
         say(to_text(_table(found)))
         _say_reasons(found)
@@ -110,27 +109,6 @@ class Sweep(Command):
             if said is not None:
                 changes[field.name] = str(said) if isinstance(said, Path) else said
         return replace(plan, **changes)
-
-
-@dataclass(frozen=True)
-class Grasped:
-    """Measures graspability and retrieval, in whichever process.
-
-    Attributes:
-        network: File of the grasp network; None takes the shipped one.
-    """
-
-    network: Path | None
-
-    def __call__(self, evaluation: Evaluation) -> Evaluation:
-        """Return the evaluation with what a gripper could do with its targets."""
-        return _grasping(self.network).measured(evaluation, silent)
-
-
-@cache
-def _grasping(network: Path | None) -> Grasping:
-    """Return what measures grasps; each process keeps what its evaluations have in common."""
-    return Grasping(network, "", workers=1)
 
 
 def _network(plan: SweepPlan) -> Path | None:

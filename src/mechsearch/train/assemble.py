@@ -13,9 +13,9 @@ from mechsearch.grasp.network import load_network
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
+from mechsearch.retrieval.episodes import GraspabilityChange
 from mechsearch.teachers import make_teachers
 from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig
-from mechsearch.train.graspability import GraspabilityChange
 from mechsearch.types import MechSearchError, Policy
 
 

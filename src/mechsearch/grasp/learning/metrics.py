@@ -1,6 +1,8 @@
 """How good predicted qualities are, against what happened."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -122,3 +124,46 @@ def reliability(quality: Floats, success: Array, bins: int = 10) -> Floats:
         if own.any()
     ]
     return np.array(rows, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkComparison:
+    """Grasp networks against each other, on the same labelled grasps.
+
+    Attributes:
+        heaps: To which the grasps belong, how many.
+        verdicts: On each network, by name.
+        curves: Reliability (b, 3) of each.
+        gains: Of the first network over each other one.
+    """
+
+    heaps: int
+    verdicts: Mapping[str, Verdict]
+    curves: Mapping[str, Floats]
+    gains: Mapping[str, Gain]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the comparison as plain lists and numbers."""
+        networks = {
+            name: {**asdict(verdict), "curve": self.curves[name].tolist()}
+            for name, verdict in self.verdicts.items()
+        }
+        gains = {name: asdict(gain) for name, gain in self.gains.items()}
+        return {"heaps": self.heaps, "networks": networks, "gain_over": gains}
+
+
+def compare_networks(rated: Mapping[str, Floats], success: Array, heap: Array) -> NetworkComparison:
+    """Return how good networks are, and by how much the first is above each other one.
+
+    Args:
+        rated: Qualities (n,) by the name of the network.
+        success: Of each grasp (n,).
+        heap: To which each grasp belongs (n,).
+    """
+    (_, ours), *others = rated.items()
+    return NetworkComparison(
+        len(np.unique(heap)),
+        {name: judge(quality, success) for name, quality in rated.items()},
+        {name: reliability(quality, success) for name, quality in rated.items()},
+        {name: paired_gain(ours, quality, success, heap) for name, quality in others},
+    )

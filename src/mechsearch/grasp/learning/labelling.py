@@ -7,18 +7,17 @@ that success is not too rare to learn.
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import alone
-from mechsearch.grasp.candidates import ImageGrasp, angle_bin
-from mechsearch.grasp.grid import FIELD
-from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps, joined
-from mechsearch.grasp.proposals import antipodal, uniform
-from mechsearch.grasp.view import GraspView, view_of_heap
-from mechsearch.heaps.choice import evenly_spread
+from mechsearch.grasp.grasp_view import GraspView, view_of_heap
+from mechsearch.grasp.image_grasp import FIELD, ImageGrasp, angle_bin
+from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps
+from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.processes import Progress, map_in_order, silent
@@ -69,7 +68,7 @@ class LabelConfig:
             raise MechSearchError(f"a geometric share of {self.geometric}; expected 0 to 1")
 
 
-def label(
+def label_grasps(
     heap_set: HeapSet,
     objects: str,
     config: LabelConfig,
@@ -104,13 +103,7 @@ def _label_alone(
     progress: Progress,
 ) -> GraspFolder:
     check_objects(heap_set, object_set(objects))
-    heaps = heap_set.train if config.split == "train" else heap_set.held_out
-    if not heaps or config.limit > len(heaps):
-        raise MechSearchError(
-            f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} "
-            "heaps"
-        )
-    heaps = [heaps[i] for i in evenly_spread(len(heaps), config.limit or len(heaps))]
+    heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
     identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
     folder = GraspFolder(path, identity)
     starts = range(0, len(heaps), config.shard)
@@ -118,14 +111,14 @@ def _label_alone(
     done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
     progress("labelled heaps", done, len(heaps))
     tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
-    labelled = map_in_order(_LabelHeap(objects, config), tasks, workers)
+    labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
     for start in missing:
         parts = []
         for _ in heaps[start : start + config.shard]:
             parts.append(next(labelled))
             done += 1
             progress("labelled heaps", done, len(heaps))
-        folder.add(_name(start, config), joined(parts))
+        folder.add(_name(start, config), Grasps.concatenated(parts))
     return folder
 
 
@@ -183,14 +176,3 @@ def _proposed(
 
 def _name(start: int, config: LabelConfig) -> str:
     return f"grasps-{start // config.shard:05d}.npz"
-
-
-@dataclass(frozen=True)
-class _LabelHeap:
-    """`label_heap` with its other arguments bound, for worker processes."""
-
-    objects: str
-    config: LabelConfig
-
-    def __call__(self, heap: Heap) -> Grasps:
-        return label_heap(heap, self.objects, self.config)
