@@ -6,7 +6,7 @@ import pytest
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
-from mechsearch.retrieval.episodes import EpisodeAssessor, GraspabilityChange
+from mechsearch.retrieval.episodes import GraspabilityChange, assess_evaluation
 
 
 def episodes(policy, limit):
@@ -18,7 +18,7 @@ def test_curves_have_the_bits_that_an_evaluation_of_the_same_episodes_measures()
     found = episodes("teacher-zigzag", 3)
     change = GraspabilityChange(load_network(), object_set("household"))
     changes = [change(record) for record in found.episodes]
-    measured = EpisodeAssessor(objects="household").assessed(found).episodes
+    measured = assess_evaluation(found, objects="household").episodes
     assert changes == [record.grasp.after - record.grasp.before for record in measured]
     assert any(changes)
     # The start of a heap is rated once.

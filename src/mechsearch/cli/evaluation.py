@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
+from mechsearch.cli.graspability import retrieval_table
 from mechsearch.env.register import embedded_file
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
@@ -25,9 +26,6 @@ from mechsearch.report import tables
 from mechsearch.report.page import pictured
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
-
-_GRASPING = ("mechsearch.retrieval.episodes", "mechsearch.cli.grasping")
-"""Imported where they are asked for: they need PyTorch, which `evaluate` does not."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ class Evaluate(Command):
                 evaluation = record(self._plan(policy), self.out, workers, mapper)
                 if grasping:
                     with bars() as progress:
-                        evaluation = grasping.assessed(evaluation, progress)
+                        evaluation = grasping(evaluation, progress=progress)
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
@@ -124,14 +122,14 @@ class Evaluate(Command):
             return None
         if importlib.util.find_spec("torch") is None:
             raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
-        assessor = importlib.import_module(_GRASPING[0]).EpisodeAssessor
+        assessor = importlib.import_module("mechsearch.retrieval.episodes").assessor
         return assessor(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
         shown = [tables.score_table(scores)]
         if self.grasps or self.grasp_network:
-            shown.append(importlib.import_module(_GRASPING[1]).retrieval_table(evaluations))
+            shown.append(retrieval_table(evaluations))
         if not self.brief:
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]

@@ -1,9 +1,11 @@
 """`mechsearch grasp label`, `train`, `test` and `calibrate`; all need PyTorch."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
@@ -11,20 +13,16 @@ from mechsearch.evaluation import episodes
 from mechsearch.files import write_json, write_text
 from mechsearch.grasp.learning.grasp_set import load_grasps
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps
-from mechsearch.grasp.learning.metrics import Verdict, compare_networks
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,
     GraspTrainConfig,
-    predict,
+    compare_networks,
     train_grasp_network,
 )
-from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, load_network
 from mechsearch.heaps.dataset import load
 from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
-from mechsearch.retrieval.assessment import GraspTask, assess_all, shared_network
-from mechsearch.retrieval.calibration import Calibration, calibrate, calibration_tasks
-from mechsearch.types import MechSearchError
+from mechsearch.retrieval.calibration import Calibration, calibrate_network
 
 
 @dataclass(frozen=True)
@@ -113,22 +111,23 @@ class TestGrasps(Command):
         """Print a table of scores, and by how much the first network is above each other one."""
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
-        rated = {name: predict(load_network(path), grasps) for name, path in named.items()}
-        found = compare_networks(rated, grasps.success, grasps.heap)
+        found = compare_networks(grasps, named)
         caption = f"{len(grasps)} grasps in {found.heaps} heaps, base rate "
         columns = ("network", "AP", "AUC", "Brier", "calibration error")
-        rows = tuple(_row(name, verdict) for name, verdict in found.verdicts.items())
+        numbers = attrgetter("average_precision", "auc", "brier", "calibration_error")
+        rows = tuple((k, *(f"{n:.3f}" for n in numbers(v))) for k, v in found.networks.items())
         say(to_text(Table(f"{caption}{grasps.success.mean():.3f}", columns, rows)))
-        for name, gain in found.gains.items():
+        for name, gain in found.gain_over.items():
             say(
                 f"AP of the shipped network above that of {name}: {gain.mean:+.3f} "
                 f"(95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
             )
         if self.out:
-            write_json(self.out, found.to_json())
+            write_json(self.out, asdict(found))
             wrote(self.out)
         if self.plot:
-            write_text(self.plot, draw_reliability(found.curves))
+            curves = {name: np.array(verdict.curve) for name, verdict in found.networks.items()}
+            write_text(self.plot, draw_reliability(curves))
             wrote(self.plot)
 
 
@@ -167,17 +166,17 @@ class CalibrateGrasps(Command):
 
     def run(self) -> None:
         """Try, fit, test and print."""
-        if not self.episodes or self.grasps < 1 or self.repeats < 1:
-            raise MechSearchError(
-                f"{len(self.episodes)} files, {self.grasps} grasps and {self.repeats} repeats; "
-                "expected at least one of each"
-            )
-        shared_network(self.network or SHIPPED_GRASP_NETWORK)
-        tasks = [task for path in self.episodes for task in self._tasks(path)]
+        states = []
+        for path in self.episodes:
+            evaluation = episodes.load_some(path, self.limit)
+            models_of(evaluation, self.objects)
+            spec = self.objects or str(evaluation.header["object_set"])
+            states += [(spec, record) for record in evaluation.episodes]
         with bars() as progress:
-            assessed = assess_all(tasks, self.workers, progress)
-        found = calibrate([task.heap_seed for task in tasks], assessed)
-        say(_described(found, len(tasks)))
+            found = calibrate_network(
+                self.network, states, self.grasps, self.repeats, self.workers, progress
+            )
+        say(_described(found, 2 * len(states)))
         if self.out:
             write_json(self.out, found.to_json())
             wrote(self.out)
@@ -185,18 +184,6 @@ class CalibrateGrasps(Command):
             curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
             write_text(self.plot, draw_reliability(curves))
             wrote(self.plot)
-
-    def _tasks(self, path: Path) -> list[GraspTask]:
-        evaluation = episodes.load_some(path, self.limit)
-        models_of(evaluation, self.objects)
-        spec = self.objects or str(evaluation.header["object_set"])
-        network = self.network or SHIPPED_GRASP_NETWORK
-        return calibration_tasks(evaluation, spec, network, self.grasps, self.repeats)
-
-
-def _row(name: str, verdict: Verdict) -> tuple[str, ...]:
-    numbers = (verdict.average_precision, verdict.auc, verdict.brier, verdict.calibration_error)
-    return (name, *(f"{number:.3f}" for number in numbers))
 
 
 def _described(found: Calibration, states: int) -> str:

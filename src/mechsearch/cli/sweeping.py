@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ from mechsearch.experiments.status import (
     SweepStatus,
     status_of,
 )
-from mechsearch.grasp.network import load_network
 from mechsearch.processes import map_in_order, map_long_work
 from mechsearch.report.tables import Table, to_text
-from mechsearch.retrieval.episodes import assess_evaluation
+from mechsearch.retrieval.episodes import assessor
 
 
 @dataclass(frozen=True)
@@ -84,13 +82,12 @@ class Sweep(Command):
         plan = self._plan(folder)
         rows = tuple((name, value) for name, value in described(plan))
         say(to_text(Table(f"The sweep in {self.out}", ("what", "value"), rows)))
-        if plan.grasps:
-            # Refused before hours of work rather than after them.
-            load_network(_network(plan))
+        # A network that is no good is refused before hours of work rather than after them.
+        network = Path(plan.grasp_network) if plan.grasp_network else None
+        grasp = assessor(network) if plan.grasps else None
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             long = map_long_work if mapper is map_in_order else mapper
-            grasp, tell = partial(assess_evaluation, network=_network(plan)), _Teller()
-            found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
+            found = carry_out(plan, self.out, workers, long, grasp, _Teller(), self.only)
         say(to_text(_table(found)))
         _say_reasons(found)
         wrote(folder.summary)
@@ -109,10 +106,6 @@ class Sweep(Command):
             if said is not None:
                 changes[field.name] = str(said) if isinstance(said, Path) else said
         return replace(plan, **changes)
-
-
-def _network(plan: SweepPlan) -> Path | None:
-    return Path(plan.grasp_network) if plan.grasp_network else None
 
 
 class _Teller:

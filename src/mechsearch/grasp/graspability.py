@@ -76,15 +76,15 @@ class Ratings:
         """How graspable the target is; 0 where no pixel of it is visible."""
         if not self.visible:
             return Graspability()
-        top, spread = self.best(BEST), self.best_apart(BEST)
+        top, spread = self.best(), self.best_apart()
         best = top[0].pose(self.camera)
         return Graspability(_mean(top), _mean(spread), self.visible, False, best)
 
-    def best(self, count: int) -> list[ImageGrasp]:
+    def best(self, count: int = BEST) -> list[ImageGrasp]:
         """Return the best grasps, best first; of equal ones, the first in depth, angle and cell."""
         return [self._grasp(i) for i in self._ranked(count)]
 
-    def best_apart(self, count: int) -> list[ImageGrasp]:
+    def best_apart(self, count: int = BEST) -> list[ImageGrasp]:
         """Return the best grasps of which no two are alike, best first; see `alike`."""
         ranked = self._ranked(_CONSIDERED)
         depth, angle, cell = np.unravel_index(ranked, self.quality.shape)

@@ -3,7 +3,7 @@
 import multiprocessing
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,8 +16,9 @@ from mechsearch.grasp.graspability import (
     on_table,
     rate_target,
 )
-from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network
-from mechsearch.heaps.dataset import object_set
+from mechsearch.grasp.network import GraspNetwork, load_network
+from mechsearch.heaps.dataset import object_set, open_heaps
+from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
@@ -37,7 +38,7 @@ class GraspTask:
         names: Of the objects (N,).
         poses: Of theirs (N, 7).
         target: Index of the object to lift.
-        network: File of the grasp network.
+        network: File of the grasp network; None takes the shipped one.
         at_rest: Whether they lie still, as a heap does; otherwise they come to rest first, the
             robot out of the way.
         alone: Whether to rate the target with all clutter removed too.
@@ -46,14 +47,14 @@ class GraspTask:
         repeats: Perturbed executions of each grasp.
         heap_seed: Seed of the heap, which the grasps that are drawn depend on.
         seed: Of the perturbations.
-        gripper: The gripper.
+        opening: Of the gripper [m].
     """
 
     objects: str
     names: tuple[str, ...]
     poses: Floats
     target: int
-    network: Path = SHIPPED_GRASP_NETWORK
+    network: Path | None = None
     at_rest: bool = True
     alone: bool = False
     best: int = 1
@@ -61,7 +62,18 @@ class GraspTask:
     repeats: int = 0
     heap_seed: int = 0
     seed: int = 0
-    gripper: Gripper = field(default_factory=Gripper)
+    opening: float = 0.056
+
+    @property
+    def models(self) -> list[ObjectModel]:
+        """The objects (N,)."""
+        models = object_set(self.objects).models
+        return [models[name] for name in self.names]
+
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper."""
+        return Gripper(opening=self.opening)
 
 
 @dataclass(frozen=True)
@@ -149,6 +161,31 @@ def summarise(assessments: Sequence[GraspAssessment]) -> AssessmentSummary:
         sum(lift.probability for lift in best) / len(assessments),
         dict(outcomes.most_common()),
     )
+
+
+def tasks_of_heaps(
+    path: Path, objects: str, split: str, limit: int, network: Path | None, opening: float
+) -> tuple[list[Heap], list[GraspTask]]:
+    """Return heaps of a set, and for each the task to try the best grasp on its target.
+
+    Args:
+        path: File of the heap set.
+        objects: Object set; empty takes the one that the heaps were made with.
+        split: As for `HeapSet.choose`.
+        limit: Likewise.
+        network: File of the grasp network; None takes the shipped one.
+        opening: Of the gripper [m].
+
+    Raises:
+        MechSearchError: If heaps and objects do not fit, or there are not so many heaps.
+    """
+    heap_set, _ = open_heaps(path, objects)
+    heaps = [heap_set.heaps[i] for i in heap_set.choose(split, limit)]
+    spec = objects or heap_set.objects
+    return heaps, [
+        GraspTask(spec, h.objects, h.poses, h.target, network, heap_seed=h.seed, opening=opening)
+        for h in heaps
+    ]
 
 
 def assess_all(
@@ -239,8 +276,8 @@ def settled(models: Sequence[ObjectModel], poses: Floats) -> Floats:
 
 
 @lru_cache(maxsize=1)
-def shared_network(path: Path) -> GraspNetwork:
-    """Return the network of a file, loaded once in each process.
+def shared_network(path: Path | None = None) -> GraspNetwork:
+    """Return the network of a file, or the shipped one, loaded once in each process.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or holds another network.
@@ -252,5 +289,4 @@ def shared_network(path: Path) -> GraspNetwork:
 
 
 def _assess(task: GraspTask) -> GraspAssessment:
-    models = object_set(task.objects).models
-    return assess(shared_network(task.network), [models[name] for name in task.names], task)
+    return assess(shared_network(task.network), task.models, task)

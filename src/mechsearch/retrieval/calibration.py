@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.grasp.learning.metrics import reliability
-from mechsearch.retrieval.assessment import GraspAssessment, GraspTask
+from mechsearch.processes import Progress, silent
+from mechsearch.retrieval.assessment import GraspAssessment, GraspTask, assess_all, shared_network
 from mechsearch.types import Array, Floats, MechSearchError
 
 
@@ -50,26 +51,43 @@ class Calibration:
         return {**asdict(self), "curve": self.curve.tolist(), "rated": self.rated.tolist()}
 
 
-def calibration_tasks(
-    evaluation: Evaluation, objects: str, network: Path, grasps: int, repeats: int
-) -> list[GraspTask]:
-    """Return the first and the last state of every episode as tasks.
+def calibrate_network(
+    network: Path | None,
+    states: Sequence[tuple[str, EpisodeRecord]],
+    grasps: int,
+    repeats: int,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> Calibration:
+    """Lift targets before and after episodes, and hold a network's scores against the success.
 
     Args:
-        evaluation: What was recorded.
-        objects: Object set, as given to `load_object_set`.
-        network: File of the grasp network.
+        network: File of the grasp network; None takes the shipped one.
+        states: Episodes, each with its object set as given to `load_object_set`.
         grasps: How many of the best grasps to try, and as many drawn uniformly from all others.
         repeats: Perturbed executions of each.
+        workers: Processes; the result does not depend on their number.
+        progress: Told after each state.
+
+    Raises:
+        MechSearchError: If there is nothing to try, or as `calibrate`.
     """
-    return [
+    if not states or grasps < 1 or repeats < 1:
+        raise MechSearchError(
+            f"{len(states)} episodes, {grasps} grasps and {repeats} repeats; expected at least one "
+            "of each"
+        )
+    shared_network(network)
+    tasks = [
         GraspTask(
             objects, record.objects, poses, record.target, network, at_rest=False, best=grasps,
             drawn=grasps, repeats=repeats, heap_seed=record.heap_seed,
         )
-        for record in evaluation.episodes
+        for objects, record in states
         for poses in (record.poses[0], record.poses[-1])
     ]  # fmt: skip
+    assessments = assess_all(tasks, workers, progress)
+    return calibrate([task.heap_seed for task in tasks], assessments)
 
 
 def calibrate(heaps: Sequence[int], assessments: Sequence[GraspAssessment]) -> Calibration:

@@ -1,7 +1,8 @@
 """Graspability and retrieval of the target before and after recorded episodes."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -21,68 +22,57 @@ from mechsearch.retrieval.assessment import (
 from mechsearch.types import Floats
 
 
-class EpisodeAssessor:
-    """Assesses the targets of evaluations; what they have in common is assessed once."""
-
-    def __init__(self, network: Path | None = None, objects: str = "", workers: int = 1) -> None:
-        """Choose how to assess.
-
-        Args:
-            network: File of the grasp network; None takes the shipped one.
-            objects: Object set; empty takes the one that an evaluation names.
-            workers: Processes; the results do not depend on their number.
-
-        Raises:
-            MechSearchError: If the network is no good.
-        """
-        self._network = network or SHIPPED_GRASP_NETWORK
-        shared_network(self._network)
-        self._objects, self._workers = objects, workers
-        self._first: dict[bytes, GraspAssessment] = {}
-
-    def assessed(self, evaluation: Evaluation, progress: Progress = silent) -> Evaluation:
-        """Return an evaluation with graspability and retrieval of every episode's target."""
-        spec = self._objects or str(evaluation.header["object_set"])
-        records = evaluation.episodes
-        # All policies start from the same heaps, and an idle one ends there too.
-        new = {_start(r): r for r in records if _start(r) not in self._first}
-        moved = [r for r in records if not _still(r)]
-        tasks = [self._task(record, spec, 0) for record in new.values()]
-        tasks += [self._task(record, spec, -1) for record in moved]
-        found = iter(assess_all(tasks, self._workers, progress))
-        self._first |= dict(zip(new, found, strict=False))
-        episodes = []
-        for record in records:
-            first = self._first[_start(record)]
-            last = first if _still(record) else next(found)
-            episodes.append(replace(record, grasp=_recorded(first, last)))
-        header = {**evaluation.header, "grasp_network": self._network.name}
-        return Evaluation(header, tuple(episodes))
-
-    def _task(self, record: EpisodeRecord, spec: str, state: int) -> GraspTask:
-        poses, first = record.poses[state], state == 0
-        return GraspTask(
-            spec, record.objects, poses, record.target, self._network, at_rest=first, alone=first
-        )
-
-
-def assess_evaluation(evaluation: Evaluation, network: Path | None = None) -> Evaluation:
+def assess_evaluation(
+    evaluation: Evaluation,
+    network: Path | None = None,
+    objects: str = "",
+    workers: int = 1,
+    progress: Progress = silent,
+) -> Evaluation:
     """Return an evaluation with graspability and retrieval of every episode's target.
 
-    Each process keeps what its evaluations have in common.
+    What a process's evaluations have in common is assessed once.
 
     Args:
         evaluation: What was recorded.
         network: File of the grasp network; None takes the shipped one.
+        objects: Object set; empty takes the one that the evaluation names.
+        workers: Processes; the results do not depend on their number.
+        progress: Told after each state.
     """
-    return _assessor(network).assessed(evaluation)
+    records, spec = evaluation.episodes, objects or str(evaluation.header["object_set"])
+
+    def task(record: EpisodeRecord, state: int) -> GraspTask:
+        poses, first = record.poses[state], state == 0
+        return GraspTask(
+            spec, record.objects, poses, record.target, network, at_rest=first, alone=first
+        )
+
+    # All policies start from the same heaps, and an idle one ends there too.
+    starts = _starts(network, spec)
+    new = {_start(r): task(r, 0) for r in records if _start(r) not in starts}
+    ends = [task(r, -1) for r in records if not _still(r)]
+    found = iter(assess_all([*new.values(), *ends], workers, progress))
+    starts |= dict(zip(new, found, strict=False))
+    episodes = []
+    for record in records:
+        first = starts[_start(record)]
+        grasp = _recorded(first, first if _still(record) else next(found))
+        episodes.append(replace(record, grasp=grasp))
+    header = {**evaluation.header, "grasp_network": (network or SHIPPED_GRASP_NETWORK).name}
+    return Evaluation(header, tuple(episodes))
 
 
-def mean_graspability(evaluation: Evaluation) -> tuple[float, float, float]:
-    """Return the means before, after, and before with all clutter removed."""
-    grasps = [record.grasp for record in evaluation.episodes if record.grasp is not None]
-    before, after, alone = np.mean([(g.before, g.after, g.alone) for g in grasps], axis=0)
-    return float(before), float(after), float(alone)
+def assessor(
+    network: Path | None = None, objects: str = "", workers: int = 1
+) -> Callable[..., Evaluation]:
+    """Return `assess_evaluation` with these arguments.
+
+    Raises:
+        MechSearchError: If the network is no good.
+    """
+    shared_network(network)
+    return partial(assess_evaluation, network=network, objects=objects, workers=workers)
 
 
 class GraspabilityChange:
@@ -109,8 +99,9 @@ class GraspabilityChange:
 
 
 @cache
-def _assessor(network: Path | None) -> EpisodeAssessor:
-    return EpisodeAssessor(network)
+def _starts(network: Path | None, objects: str) -> dict[bytes, GraspAssessment]:
+    """Return where a process keeps what starts of episodes were assessed as."""
+    return {}
 
 
 def _start(record: EpisodeRecord) -> bytes:

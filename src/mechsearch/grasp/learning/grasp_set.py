@@ -15,6 +15,7 @@ from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError
 
 _FORMAT = 1
+_PURPOSE = "manifest of a grasp set"
 
 MANIFEST_FILE = "grasps.json"
 """What a folder of labelled grasps holds, and from what they were made."""
@@ -88,7 +89,7 @@ class GraspFolder:
         self._manifest: dict[str, Any] = {"format": _FORMAT, **identity, "shards": {}}
         file = path / MANIFEST_FILE
         if file.exists():
-            found = read_record(file, "manifest of a grasp set", ("format", "shards"))
+            found = read_record(file, _PURPOSE, ("format", "shards"))
             if {**found, "shards": {}} != self._manifest:
                 differing = [k for k, v in self._manifest.items() if found.get(k) != v]
                 raise MechSearchError(
@@ -107,15 +108,13 @@ class GraspFolder:
         """Write a shard and enter it into the manifest."""
         arrays = {field: getattr(grasps, field) for field in _FIELDS}
         file = self.path / name
-        write_whole(
-            file, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays)
-        )
+        write_whole(file, lambda to: np.savez_compressed(to, allow_pickle=False, **arrays))
         self._manifest["shards"][name] = {
             "sha256": _sha256(file),
             "grasps": len(grasps),
             "positive": int(grasps.success.sum()),
         }
-        write_record(self.path / MANIFEST_FILE, "manifest of a grasp set", self._manifest)
+        write_record(self.path / MANIFEST_FILE, _PURPOSE, self._manifest)
 
 
 def load_grasps(path: Path) -> Grasps:
@@ -124,7 +123,7 @@ def load_grasps(path: Path) -> Grasps:
     Raises:
         MechSearchError: If there are none, or a shard is missing or damaged.
     """
-    manifest = read_record(path / MANIFEST_FILE, "manifest of a grasp set", ("format", "shards"))
+    manifest = read_record(path / MANIFEST_FILE, _PURPOSE, ("format", "shards"))
     if manifest["format"] != _FORMAT:
         raise MechSearchError(
             f"{path / MANIFEST_FILE} is of labelled grasps of format {manifest['format']}; this "

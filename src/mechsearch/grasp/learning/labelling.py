@@ -59,10 +59,10 @@ class LabelConfig:
     def __post_init__(self) -> None:
         if self.split not in ("train", "held-out"):
             raise MechSearchError(f"unknown split {self.split!r}; choose one of train, held-out")
-        if self.per_object < 1 or self.shard < 1 or self.limit < 0:
+        if self.per_object < 1 or self.shard < 1:
             raise MechSearchError(
-                f"{self.per_object} grasps on each object, {self.shard} heaps in a file, limit "
-                f"{self.limit}; expected at least 1, 1 and 0"
+                f"{self.per_object} grasps on each object, {self.shard} heaps in a file; expected "
+                "at least 1 of each"
             )
         if not 0.0 <= self.geometric <= 1.0:
             raise MechSearchError(f"a geometric share of {self.geometric}; expected 0 to 1")
@@ -91,35 +91,24 @@ def label_grasps(
             process fills it.
     """
     with alone(path / "grasps", f"the grasp set {path}"):
-        return _label_alone(heap_set, objects, config, path, workers, progress)
-
-
-def _label_alone(
-    heap_set: HeapSet,
-    objects: str,
-    config: LabelConfig,
-    path: Path,
-    workers: int,
-    progress: Progress,
-) -> GraspFolder:
-    check_objects(heap_set, object_set(objects))
-    heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
-    identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
-    folder = GraspFolder(path, identity)
-    starts = range(0, len(heaps), config.shard)
-    missing = [start for start in starts if not folder.has(_name(start, config))]
-    done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
-    progress("labelled heaps", done, len(heaps))
-    tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
-    labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
-    for start in missing:
-        parts = []
-        for _ in heaps[start : start + config.shard]:
-            parts.append(next(labelled))
-            done += 1
-            progress("labelled heaps", done, len(heaps))
-        folder.add(_name(start, config), Grasps.concatenated(parts))
-    return folder
+        check_objects(heap_set, object_set(objects))
+        heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
+        identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
+        folder = GraspFolder(path, identity)
+        starts = range(0, len(heaps), config.shard)
+        missing = [start for start in starts if not folder.has(_name(start, config))]
+        done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
+        progress("labelled heaps", done, len(heaps))
+        tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
+        labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
+        for start in missing:
+            parts = []
+            for _ in heaps[start : start + config.shard]:
+                parts.append(next(labelled))
+                done += 1
+                progress("labelled heaps", done, len(heaps))
+            folder.add(_name(start, config), Grasps.concatenated(parts))
+        return folder
 
 
 def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:

@@ -1,8 +1,7 @@
 """How good predicted qualities are, against what happened."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ class Verdict:
         auc: Chance that a success is rated above a failure.
         brier: Mean squared error of the quality as a probability.
         calibration_error: Mean distance of quality and share of successes, over ten bins.
+        curve: Mean quality, share of successes and count of each bin that is not empty.
     """
 
     grasps: int
@@ -28,6 +28,7 @@ class Verdict:
     auc: float
     brier: float
     calibration_error: float
+    curve: list[list[float]]
 
 
 def judge(quality: Array, success: Array) -> Verdict:
@@ -47,7 +48,7 @@ def judge(quality: Array, success: Array) -> Verdict:
     error = float((shares[:, 2] * np.abs(shares[:, 0] - shares[:, 1])).sum() / len(q))
     return Verdict(
         len(q), float(won.mean()), average_precision(q, won), auc(q, won),
-        float(((q - won) ** 2).mean()), error,
+        float(((q - won) ** 2).mean()), error, shares.tolist(),
     )  # fmt: skip
 
 
@@ -126,44 +127,16 @@ def reliability(quality: Floats, success: Array, bins: int = 10) -> Floats:
     return np.array(rows, np.float64)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class NetworkComparison:
     """Grasp networks against each other, on the same labelled grasps.
 
     Attributes:
         heaps: To which the grasps belong, how many.
-        verdicts: On each network, by name.
-        curves: Reliability (b, 3) of each.
-        gains: Of the first network over each other one.
+        networks: Verdict on each, by name.
+        gain_over: Of the first network over each other one.
     """
 
     heaps: int
-    verdicts: Mapping[str, Verdict]
-    curves: Mapping[str, Floats]
-    gains: Mapping[str, Gain]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the comparison as plain lists and numbers."""
-        networks = {
-            name: {**asdict(verdict), "curve": self.curves[name].tolist()}
-            for name, verdict in self.verdicts.items()
-        }
-        gains = {name: asdict(gain) for name, gain in self.gains.items()}
-        return {"heaps": self.heaps, "networks": networks, "gain_over": gains}
-
-
-def compare_networks(rated: Mapping[str, Floats], success: Array, heap: Array) -> NetworkComparison:
-    """Return how good networks are, and by how much the first is above each other one.
-
-    Args:
-        rated: Qualities (n,) by the name of the network.
-        success: Of each grasp (n,).
-        heap: To which each grasp belongs (n,).
-    """
-    (_, ours), *others = rated.items()
-    return NetworkComparison(
-        len(np.unique(heap)),
-        {name: judge(quality, success) for name, quality in rated.items()},
-        {name: reliability(quality, success) for name, quality in rated.items()},
-        {name: paired_gain(ours, quality, success, heap) for name, quality in others},
-    )
+    networks: Mapping[str, Verdict]
+    gain_over: Mapping[str, Gain]

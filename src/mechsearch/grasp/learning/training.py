@@ -1,7 +1,7 @@
 """Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from mechsearch.files.tensors import (
 )
 from mechsearch.grasp.image_grasp import ANGLES
 from mechsearch.grasp.learning.grasp_set import Grasps
-from mechsearch.grasp.learning.metrics import Verdict, judge
-from mechsearch.grasp.network import GraspNetwork, ready, save_network
+from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
+from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, MechSearchError
@@ -36,6 +36,8 @@ CHECKPOINT_FILE = "checkpoint.safetensors"
 
 NETWORK_FILE = "network.safetensors"
 """The best network of a training."""
+
+_LOGGED = ("average_precision", "auc", "brier", "base_rate")
 
 
 @dataclass(frozen=True)
@@ -89,33 +91,27 @@ def train_grasp_network(
             the folder holds another training, or another process is at work in it.
     """
     with alone(folder / "training", f"the training {folder}"):
-        return _train_alone(grasps, config, folder, progress)
-
-
-def _train_alone(
-    grasps: Grasps, config: GraspTrainConfig, folder: Path, progress: Progress
-) -> list[dict[str, float]]:
-    learn, check = split_by_heap(grasps, config.validation)
-    network = _fresh(learn, config)
-    optimizer = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
-    identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
-    history = _resume(folder / CHECKPOINT_FILE, identity, network, optimizer)
-    for epoch in range(len(history), config.epochs):
-        loss = _train(network, optimizer, learn, config, epoch)
-        verdict = judge(predict(network, check), check.success)
-        history.append(_row(loss, verdict))
-        best = max(row["average_precision"] for row in history)
-        if history[-1]["average_precision"] == best:
-            save_network(folder / NETWORK_FILE, network, {"validation": history[-1]})
-        tensors = prefixed("network", network.state_dict())
-        tensors |= prefixed("adam", optimizer_tensors(optimizer))
-        meta = {"identity": identity, "history": history}
-        save_archive(folder / CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
-        label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
-        progress(label, epoch + 1, config.epochs)
-    return history
+        learn, check = split_by_heap(grasps, config.validation)
+        network = _fresh(learn, config)
+        optimizer = torch.optim.AdamW(
+            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+        )
+        identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
+        history = _resume(folder / CHECKPOINT_FILE, identity, network, optimizer)
+        for epoch in range(len(history), config.epochs):
+            loss = _train(network, optimizer, learn, config, epoch)
+            verdict = judge(predict(network, check), check.success)
+            history.append({"loss": loss, **{name: getattr(verdict, name) for name in _LOGGED}})
+            best = max(row["average_precision"] for row in history)
+            if history[-1]["average_precision"] == best:
+                save_network(folder / NETWORK_FILE, network, {"validation": history[-1]})
+            tensors = prefixed("network", network.state_dict())
+            tensors |= prefixed("adam", optimizer_tensors(optimizer))
+            meta = {"identity": identity, "history": history}
+            save_archive(folder / CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
+            label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
+            progress(label, epoch + 1, config.epochs)
+        return history
 
 
 def split_by_heap(grasps: Grasps, share: float) -> tuple[Grasps, Grasps]:
@@ -145,6 +141,26 @@ def predict(network: GraspNetwork, grasps: Grasps, batch: int = 256) -> NDArray[
         own = logits[torch.arange(len(seen)), angle]
         found.append(torch.sigmoid(own[:, 1] - own[:, 0]).double().numpy())
     return np.concatenate(found)
+
+
+def compare_networks(grasps: Grasps, networks: Mapping[str, Path | None]) -> NetworkComparison:
+    """Return how good networks are on grasps, and the gain of the first over each other one.
+
+    Args:
+        grasps: Labelled grasps that they have not learnt from.
+        networks: File of each by name; None is the shipped one.
+
+    Raises:
+        MechSearchError: If a network is no good, or all outcomes are alike.
+    """
+    rated = {name: predict(load_network(path), grasps) for name, path in networks.items()}
+    success, heap = grasps.success, grasps.heap
+    (_, ours), *others = rated.items()
+    return NetworkComparison(
+        len(np.unique(heap)),
+        {name: judge(quality, success) for name, quality in rated.items()},
+        {name: paired_gain(ours, quality, success, heap) for name, quality in others},
+    )
 
 
 def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:
@@ -217,16 +233,6 @@ def _batches(
 def _tensor(seen: Array) -> Tensor:
     images = torch.from_numpy(seen.astype(np.float32))[:, None]
     return images.contiguous(memory_format=torch.channels_last)
-
-
-def _row(loss: float, verdict: Verdict) -> dict[str, float]:
-    return {
-        "loss": loss,
-        "average_precision": verdict.average_precision,
-        "auc": verdict.auc,
-        "brier": verdict.brier,
-        "base_rate": verdict.base_rate,
-    }
 
 
 def _resume(
