@@ -9,10 +9,10 @@ import torch
 from benchmarks import machine
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
+from mechsearch.grasp.grasp_view import view_of_heap
+from mechsearch.grasp.graspability import rate
+from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.grasp.network import load_network
-from mechsearch.grasp.proposals import antipodal, uniform
-from mechsearch.grasp.quality import graspability_of_view
-from mechsearch.grasp.view import view_of_heap
 from mechsearch.sim.lift import LiftWorld
 
 
@@ -31,7 +31,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
         if not view.mask.any():
             continue
         began = time.perf_counter()
-        graspability_of_view(network, view)
+        assert rate(network, view).graspability.visible
         scores.append(time.perf_counter() - began)
         world = LiftWorld(models)
         grasps = {"antipodal": antipodal(view, rng, 2, world.gripper)}

@@ -67,3 +67,32 @@ def ycb_folder():
     if not folder.is_dir():
         pytest.skip("no YCB objects: set MECHSEARCH_YCB to their folder to run this test")
     return folder
+
+
+@pytest.fixture(scope="session")
+def fcgqcnn_folder():
+    """The released network's folder, where there is one."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "fcgqcnn"
+    folder = Path(os.environ.get("MECHSEARCH_FCGQCNN", beside))
+    if not folder.is_dir():
+        pytest.skip("no released weights: set MECHSEARCH_FCGQCNN to their folder to run this test")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def released(fcgqcnn_folder):
+    """The released network, where it is."""
+    from mechsearch.grasp.network import load_network
+
+    return load_network(fcgqcnn_folder / "fc_gqcnn_4_0_pj.npz")
+
+
+@pytest.fixture(scope="session")
+def untrained():
+    """A grasp network that knows nothing."""
+    import torch
+
+    from mechsearch.grasp.network import GraspNetwork, ready
+
+    torch.manual_seed(0)
+    return ready(GraspNetwork())

@@ -16,7 +16,7 @@ from PIL import Image
 from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.files import read_json
-from mechsearch.grasp.image_file import read_view
+from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.masses import read_masses

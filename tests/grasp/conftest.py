@@ -1,36 +1,11 @@
-"""Networks and scenes that several tests share."""
-
-import os
-from pathlib import Path
+"""Scenes that several tests share."""
 
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+from mechsearch.camera import Camera, look_at
 
-from mechsearch.camera import Camera, look_at  # noqa: E402
-from mechsearch.grasp.network import GraspNetwork, load_network, ready  # noqa: E402
-
-
-@pytest.fixture(scope="session")
-def fcgqcnn_folder():
-    """The released network's folder, where there is one."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "fcgqcnn"
-    folder = Path(os.environ.get("MECHSEARCH_FCGQCNN", beside))
-    if not folder.is_dir():
-        pytest.skip("no released weights: set MECHSEARCH_FCGQCNN to their folder to run this test")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def released(fcgqcnn_folder):
-    return load_network(fcgqcnn_folder / "fc_gqcnn_4_0_pj.npz")
-
-
-@pytest.fixture(scope="session")
-def untrained():
-    torch.manual_seed(0)
-    return ready(GraspNetwork())
+pytest.importorskip("torch")
 
 
 @pytest.fixture

@@ -7,10 +7,15 @@ import torch
 from PIL import Image
 
 from mechsearch.camera import Camera
-from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, ready, save_network
-from mechsearch.grasp.policy import rate
-from mechsearch.grasp.quality import ceiling
-from mechsearch.grasp.view import view_of_image
+from mechsearch.grasp.depth_image import view_of_image
+from mechsearch.grasp.graspability import ceiling, rate
+from mechsearch.grasp.network import (
+    SHIPPED_GRASP_NETWORK,
+    GraspNetwork,
+    load_network,
+    ready,
+    save_network,
+)
 from mechsearch.types import MechSearchError
 
 
@@ -88,8 +93,8 @@ def test_readiness_changes_no_weight():
 
 
 def test_the_shipped_network_is_the_one_of_its_card():
-    card = json.loads(SHIPPED.with_suffix(".json").read_text())
-    assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() == card["sha256"]
+    card = json.loads(SHIPPED_GRASP_NETWORK.with_suffix(".json").read_text())
+    assert hashlib.sha256(SHIPPED_GRASP_NETWORK.read_bytes()).hexdigest() == card["sha256"]
     assert card["held_out"]["average_precision"] > 0.7
     assert card["labels"]["heap_set"] == card["held_out"]["heap_set"]
     assert {card["labels"]["config"]["split"], card["held_out"]["config"]["split"]} == {

@@ -1,9 +1,9 @@
 import numpy as np
 from PIL import Image
 
-from mechsearch.grasp.candidates import ImageGrasp
+from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.image_grasp import ImageGrasp
 from mechsearch.grasp.picture import draw_grasps, grid, stacked
-from mechsearch.grasp.view import GraspView
 
 
 def test_the_best_grasp_is_drawn_where_it_closes(overhead):

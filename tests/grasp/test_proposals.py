@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from mechsearch.grasp.candidates import angle_bin
-from mechsearch.grasp.grid import depth_bins
-from mechsearch.grasp.proposals import antipodal, uniform
-from mechsearch.grasp.view import view_of_heap
+from mechsearch.grasp.grasp_view import view_of_heap
+from mechsearch.grasp.image_grasp import angle_bin, depth_bins
+from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld, Outcome
 

@@ -22,7 +22,7 @@ from mechsearch.files import records
 from mechsearch.files import tensors as weights
 from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
-from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
+from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
 from mechsearch.push_values.algorithm import PushValues
@@ -187,7 +187,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
             "grasps.json",
             lambda f: GraspFolder(f, {"seed": 1}).add("grasps-00000.npz", grasps),
             load_grasps,
-            (grasp_set, "FORMAT"),
+            (grasp_set, "_FORMAT"),
         ),
         "grasp network": Kind(
             "network.safetensors",
@@ -351,5 +351,5 @@ def test_what_was_changed_by_hand_is_told(tmp_path):
 
 
 def test_the_shipped_grasp_network_is_the_one_of_its_card():
-    card = json.loads(SHIPPED.with_suffix(".json").read_text())
-    assert hashlib.sha256(SHIPPED.read_bytes()).hexdigest() == card["sha256"]
+    card = json.loads(SHIPPED_GRASP_NETWORK.with_suffix(".json").read_text())
+    assert hashlib.sha256(SHIPPED_GRASP_NETWORK.read_bytes()).hexdigest() == card["sha256"]

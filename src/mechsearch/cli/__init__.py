@@ -38,12 +38,22 @@ COMMANDS = {
     "verify": Entry("verification:Verify", "play recorded episodes again: the same bits?"),
     "show": Entry("evaluation:Show", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
     "pack": Entry("packing:Pack", "a run's policy for others, with a card", learns=True),
-    "grasp score": Entry("grasping:Score", "rate grasps on targets: heaps, or your image", True),
-    "grasp lift": Entry("grasping:Lift", "try the best grasps: can the target be lifted?", True),
-    "grasp label": Entry("grasp_learning:Label", "try grasps on heaps: a set to learn from", True),
-    "grasp train": Entry("grasp_learning:Train", "train a grasp network, or go on", True),
-    "grasp test": Entry("grasp_learning:Test", "judge grasp networks on labelled grasps", True),
-    "grasp calibrate": Entry("calibration:Calibrate", "hold scores against lift success", True),
+    "grasp score": Entry(
+        "grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image", True
+    ),
+    "grasp lift": Entry(
+        "grasping:LiftGrasps", "try the best grasps: can the target be lifted?", True
+    ),
+    "grasp label": Entry(
+        "grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from", True
+    ),
+    "grasp train": Entry("grasp_learning:TrainGrasps", "train a grasp network, or go on", True),
+    "grasp test": Entry(
+        "grasp_learning:TestGrasps", "judge grasp networks on labelled grasps", True
+    ),
+    "grasp calibrate": Entry(
+        "grasp_learning:CalibrateGrasps", "hold scores against lift success", True
+    ),
     "report": Entry("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": Entry("demo:Demo", "the whole way: heaps, training, scores, report", learns=True),
 }

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
+from mechsearch.cli.graspability import retrieval_table
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes, summary
@@ -25,9 +26,6 @@ from mechsearch.report import tables
 from mechsearch.report.page import pictured
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
-
-_GRASPING = "mechsearch.cli.graspability"
-"""Imported where it is asked for: it needs PyTorch, which `evaluate` does not."""
 
 _TaskOptions: Any = optional(TaskConfig)
 
@@ -103,7 +101,7 @@ class Evaluate(Command):
                 evaluation = record(plan, self.out, workers, mapper)
                 if grasping:
                     with bars() as progress:
-                        evaluation = grasping.measured(evaluation, progress)
+                        evaluation = grasping(evaluation, progress=progress)
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
@@ -124,15 +122,14 @@ class Evaluate(Command):
             return None
         if importlib.util.find_spec("torch") is None:
             raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
-        importlib.import_module("mechsearch.grasp.network").load_network(self.grasp_network)
-        kind = importlib.import_module(_GRASPING).Grasping
-        return kind(self.grasp_network, self.objects, self.workers)
+        assessor = importlib.import_module("mechsearch.retrieval.episodes").assessor
+        return assessor(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
         scores = tables.scores_of(evaluations)
         shown = [tables.score_table(scores)]
         if self.grasps or self.grasp_network:
-            shown.append(importlib.import_module(_GRASPING).table(evaluations))
+            shown.append(retrieval_table(evaluations))
         if not self.brief:
             shown.append(tables.terms_table(scores))
             shown += [tables.count_table(evaluations, metric) for metric in METRICS]

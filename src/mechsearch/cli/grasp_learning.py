@@ -1,27 +1,32 @@
-"""`mechsearch grasp label`, `train` and `test`; all need PyTorch."""
+"""`mechsearch grasp label`, `train`, `test` and `calibrate`; all need PyTorch."""
 
-from collections import Counter
 from dataclasses import asdict, dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
+from mechsearch.evaluation import episodes
 from mechsearch.files import write_json, write_text
-from mechsearch.grasp.learning.fit import NETWORK, FitConfig, fit, predict
-from mechsearch.grasp.learning.grasp_set import OUTCOMES, load_grasps
-from mechsearch.grasp.learning.label import LabelConfig, label
-from mechsearch.grasp.learning.metrics import Verdict, judge, paired_gain, reliability
-from mechsearch.grasp.network import load_network
+from mechsearch.grasp.learning.grasp_set import load_grasps
+from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps
+from mechsearch.grasp.learning.training import (
+    NETWORK_FILE,
+    GraspTrainConfig,
+    compare_networks,
+    train_grasp_network,
+)
 from mechsearch.heaps.dataset import load
 from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
+from mechsearch.retrieval.calibration import Calibration, calibrate_network
 
 
 @dataclass(frozen=True)
-class Label(Command):
+class LabelGrasps(Command):
     """Try grasps on every visible object of every heap, and record what became of them.
 
     No network proposes them. A folder that was cut off is continued.
@@ -43,18 +48,17 @@ class Label(Command):
     def run(self) -> None:
         """Label, and say what became of the grasps."""
         heap_set = load(self.heaps)
-        objects = self.objects or str(heap_set.manifest["config"]["objects"])
+        objects = self.objects or heap_set.objects
         with bars() as progress:
-            folder = label(heap_set, objects, self.config, self.out, self.workers, progress)
-        grasps = load_grasps(folder.path)
-        counts = Counter(str(OUTCOMES[number]) for number in grasps.outcome)
+            label_grasps(heap_set, objects, self.config, self.out, self.workers, progress)
+        grasps = load_grasps(self.out)
         say(f"{len(grasps)} grasps, {grasps.success.mean():.1%} succeed")
-        say(", ".join(f"{name} {count}" for name, count in counts.most_common()))
+        say(", ".join(f"{name} {count}" for name, count in grasps.counts.most_common()))
         wrote(self.out)
 
 
 @dataclass(frozen=True)
-class Train(Command):
+class TrainGrasps(Command):
     """Train a grasp network on labelled grasps, from scratch, or go on with a training.
 
     Attributes:
@@ -65,13 +69,15 @@ class Train(Command):
 
     labels: Path
     out: Path
-    config: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
+    config: Annotated[GraspTrainConfig, tyro.conf.arg(name="")] = field(
+        default_factory=GraspTrainConfig
+    )
 
     def run(self) -> None:
         """Train, and say how good the best epoch is."""
         grasps = load_grasps(self.labels)
         with bars() as progress:
-            history = fit(grasps, self.config, self.out, progress)
+            history = train_grasp_network(grasps, self.config, self.out, progress)
         best = max(range(len(history)), key=lambda i: history[i]["average_precision"])
         row = history[best]
         say(
@@ -79,11 +85,11 @@ class Train(Command):
             f"{row['average_precision']:.3f} (base rate {row['base_rate']:.3f}), AUC "
             f"{row['auc']:.3f}, Brier score {row['brier']:.3f} on validation heaps"
         )
-        wrote(self.out / NETWORK)
+        wrote(self.out / NETWORK_FILE)
 
 
 @dataclass(frozen=True)
-class Test(Command):
+class TestGrasps(Command):
     """Judge grasp networks on labelled grasps that they have not learnt from.
 
     Attributes:
@@ -105,37 +111,89 @@ class Test(Command):
         """Print a table of scores, and by how much the first network is above each other one."""
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
-        rated = {name: predict(load_network(path), grasps) for name, path in named.items()}
-        verdicts = {name: judge(quality, grasps.success) for name, quality in rated.items()}
-        gains = {
-            name: paired_gain(rated["shipped"], quality, grasps.success, grasps.heap)
-            for name, quality in rated.items()
-            if name != "shipped"
-        }
-        heaps = len(np.unique(grasps.heap))
-        caption = f"{len(grasps)} grasps in {heaps} heaps, base rate {grasps.success.mean():.3f}"
+        found = compare_networks(grasps, named)
+        caption = f"{len(grasps)} grasps in {found.heaps} heaps, base rate "
         columns = ("network", "AP", "AUC", "Brier", "calibration error")
-        rows = tuple(_row(name, verdict) for name, verdict in verdicts.items())
-        say(to_text(Table(caption, columns, rows)))
-        for name, gain in gains.items():
+        numbers = attrgetter("average_precision", "auc", "brier", "calibration_error")
+        rows = tuple((k, *(f"{n:.3f}" for n in numbers(v))) for k, v in found.networks.items())
+        say(to_text(Table(f"{caption}{grasps.success.mean():.3f}", columns, rows)))
+        for name, gain in found.gain_over.items():
             say(
                 f"AP of the shipped network above that of {name}: {gain.mean:+.3f} "
                 f"(95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
             )
-        curves = {name: reliability(quality, grasps.success) for name, quality in rated.items()}
         if self.out:
-            found = {
-                name: {**asdict(verdict), "curve": curves[name].tolist()}
-                for name, verdict in verdicts.items()
-            }
-            above = {name: asdict(gain) for name, gain in gains.items()}
-            write_json(self.out, {"heaps": heaps, "networks": found, "gain_over": above})
+            write_json(self.out, asdict(found))
             wrote(self.out)
         if self.plot:
+            curves = {name: np.array(verdict.curve) for name, verdict in found.networks.items()}
             write_text(self.plot, draw_reliability(curves))
             wrote(self.plot)
 
 
-def _row(name: str, verdict: Verdict) -> tuple[str, ...]:
-    numbers = (verdict.average_precision, verdict.auc, verdict.brier, verdict.calibration_error)
-    return (name, *(f"{number:.3f}" for number in numbers))
+@dataclass(frozen=True)
+class CalibrateGrasps(Command):
+    """Hold a network's scores against lift success, on heaps before and after pushing.
+
+    On the first and last state of every recorded episode the best grasps on the target, and as many
+    drawn at random, are executed with perturbations. The chance of success is fitted to the quality
+    on every second heap and tested on the others.
+
+    Attributes:
+        episodes: Files that `mechsearch evaluate` wrote (.npz).
+        network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
+            take instead of the shipped one.
+        out: File (.json) to write.
+        plot: Reliability diagram (.svg) to write.
+        limit: Number of episodes of each file, spread evenly; 0 takes all.
+        grasps: Best grasps to try on each state, and as many at random.
+        repeats: Perturbed executions of each grasp.
+        objects: Object set; the one that the files name by default.
+        workers: Processes; the result does not depend on their number.
+    """
+
+    episodes: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="EPISODES [EPISODES ...]")
+    ]
+    network: Path | None = None
+    out: Path | None = None
+    plot: Path | None = None
+    limit: int = 0
+    grasps: int = 10
+    repeats: int = 5
+    objects: str = ""
+    workers: int = WORKERS
+
+    def run(self) -> None:
+        """Try, fit, test and print."""
+        states = []
+        for path in self.episodes:
+            evaluation = episodes.load_some(path, self.limit)
+            models_of(evaluation, self.objects)
+            spec = self.objects or str(evaluation.header["object_set"])
+            states += [(spec, record) for record in evaluation.episodes]
+        with bars() as progress:
+            found = calibrate_network(
+                self.network, states, self.grasps, self.repeats, self.workers, progress
+            )
+        say(_described(found, 2 * len(states)))
+        if self.out:
+            write_json(self.out, found.to_json())
+            wrote(self.out)
+        if self.plot:
+            curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
+            write_text(self.plot, draw_reliability(curves))
+            wrote(self.plot)
+
+
+def _described(found: Calibration, states: int) -> str:
+    rows = tuple((f"{q:.2f}", f"{share:.2f}", f"{n:.0f}") for q, share, n in found.curve)
+    curve = to_text(Table("On the test half", ("fitted chance", "succeed", "executions"), rows))
+    return (
+        f"{curve}\nfitted chance of success: logistic, {found.slope:.2f} logit(quality) "
+        f"{found.offset:+.2f}; one half from a quality of {found.threshold:.2f}\n"
+        f"Brier score on {found.executions} executions of the test half: {found.brier:.3f} as "
+        f"rated, {found.brier_fitted:.3f} as fitted\n"
+        f"Spearman correlation with lift success: quality {found.rank_correlation:.2f}, "
+        f"graspability over {states} states {found.score_correlation:.2f}"
+    )

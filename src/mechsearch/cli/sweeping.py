@@ -2,13 +2,10 @@
 
 import sys
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from mechsearch.cli.command import WORKERS, Command, say, spread, wrote
-from mechsearch.cli.graspability import Grasping
-from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
@@ -18,9 +15,9 @@ from mechsearch.experiments.status import (
     SweepStatus,
     status_of,
 )
-from mechsearch.grasp.network import load_network
-from mechsearch.processes import map_in_order, map_long_work, silent
+from mechsearch.processes import map_in_order, map_long_work
 from mechsearch.report.tables import Table, to_text
+from mechsearch.retrieval.episodes import assessor
 
 
 @dataclass(frozen=True)
@@ -85,13 +82,12 @@ class Sweep(Command):
         plan = self._plan(folder)
         rows = tuple((name, value) for name, value in described(plan))
         say(to_text(Table(f"The sweep in {self.out}", ("what", "value"), rows)))
-        if plan.grasps:
-            # Refused before hours of work rather than after them.
-            load_network(_network(plan))
+        # A network that is no good is refused before hours of work rather than after them.
+        network = Path(plan.grasp_network) if plan.grasp_network else None
+        grasp = assessor(network) if plan.grasps else None
         with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
             long = map_long_work if mapper is map_in_order else mapper
-            grasp, tell = Grasped(_network(plan)), _Teller()
-            found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
+            found = carry_out(plan, self.out, workers, long, grasp, _Teller(), self.only)
         say(to_text(_table(found)))
         _say_reasons(found)
         wrote(folder.summary)
@@ -110,31 +106,6 @@ class Sweep(Command):
             if said is not None:
                 changes[field.name] = str(said) if isinstance(said, Path) else said
         return replace(plan, **changes)
-
-
-@dataclass(frozen=True)
-class Grasped:
-    """Measures graspability and retrieval, in whichever process.
-
-    Attributes:
-        network: File of the grasp network; None takes the shipped one.
-    """
-
-    network: Path | None
-
-    def __call__(self, evaluation: Evaluation) -> Evaluation:
-        """Return the evaluation with what a gripper could do with its targets."""
-        return _grasping(self.network).measured(evaluation, silent)
-
-
-@cache
-def _grasping(network: Path | None) -> Grasping:
-    """Return what measures grasps; each process keeps what its evaluations have in common."""
-    return Grasping(network, "", workers=1)
-
-
-def _network(plan: SweepPlan) -> Path | None:
-    return Path(plan.grasp_network) if plan.grasp_network else None
 
 
 class _Teller:

@@ -5,7 +5,6 @@ a depth image minus the gripper's depth; what it says is, for 16 closing directi
 fourth pixel, how likely a grasp there succeeds.
 """
 
-import zipfile
 from pathlib import Path
 
 import torch
@@ -13,12 +12,12 @@ from torch import Tensor, nn
 
 from mechsearch.files import read_arrays
 from mechsearch.files.tensors import Archive, load_archive, save_archive
-from mechsearch.grasp.grid import ANGLES
+from mechsearch.grasp.image_grasp import ANGLES
 from mechsearch.types import Array, MechSearchError
 
-KIND = "mechsearch grasp network"
+_KIND = "mechsearch grasp network"
 
-SHIPPED = Path(__file__).with_name("parallel_jaw.safetensors")
+SHIPPED_GRASP_NETWORK = Path(__file__).with_name("parallel_jaw.safetensors")
 """The network that is used unless another is named; `parallel_jaw.json` is its card."""
 
 _LAYERS = ("conv1_1", "conv1_2", "conv2_1", "conv2_2", "fc3", "fc4", "fc5")
@@ -96,10 +95,10 @@ def load_network(path: Path | None = None) -> GraspNetwork:
     Raises:
         MechSearchError: If the file is missing, damaged, or holds another network.
     """
-    path = path or SHIPPED
+    path = path or SHIPPED_GRASP_NETWORK
     if path.suffix == ".npz":
         return _from_release(path)
-    archive = load_archive(path, KIND)
+    archive = load_archive(path, _KIND)
     network = GraspNetwork()
     archive.fill(network)
     return ready(network)
@@ -113,7 +112,7 @@ def ready(network: GraspNetwork) -> GraspNetwork:
 
 def save_network(path: Path, network: GraspNetwork, meta: dict[str, object]) -> None:
     """Write a network, whole or not at all."""
-    save_archive(path, Archive(KIND, network.state_dict(), meta))
+    save_archive(path, Archive(_KIND, network.state_dict(), meta))
 
 
 def _from_release(path: Path) -> GraspNetwork:
@@ -127,7 +126,7 @@ def _from_release(path: Path) -> GraspNetwork:
         state = _renamed(arrays)
         network = GraspNetwork()
         network.load_state_dict(state)
-    except (OSError, ValueError, KeyError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, RuntimeError) as error:
         raise MechSearchError(
             f"{path} does not hold the released FC-GQCNN-4.0-PJ weights: {error}"
         ) from None

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from mechsearch.grasp.candidates import ImageGrasp
-from mechsearch.grasp.view import GraspView
+from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.image_grasp import ImageGrasp
 
 _TARGET = np.array([40.0, 215.0, 70.0])
 _LOW, _HIGH = np.array([214.0, 60.0, 45.0]), np.array([28.0, 98.0, 235.0])

@@ -1,6 +1,7 @@
 """Labelled grasps on disk: shards of arrays, and a manifest that says what made them."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.files import ARRAY_DAMAGE, read_record, write_record, write_whole
+from mechsearch.files import read_arrays, read_record, write_record, write_whole
 from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError
 
-FORMAT = 1
-MANIFEST = "grasps.json"
+_FORMAT = 1
+_PURPOSE = "manifest of a grasp set"
+
+MANIFEST_FILE = "grasps.json"
+"""What a folder of labelled grasps holds, and from what they were made."""
+
 OUTCOMES = tuple(Outcome)
 """What the outcome numbers of a grasp set mean."""
 
@@ -49,17 +54,22 @@ class Grasps:
         """The labels (n,)."""
         return np.asarray(self.outcome == OUTCOMES.index(Outcome.SUCCESS), np.bool_)
 
+    @property
+    def counts(self) -> Counter[str]:
+        """How many grasps came to which outcome."""
+        return Counter(str(OUTCOMES[number]) for number in self.outcome)
+
     def where(self, keep: NDArray[Any]) -> "Grasps":
         """Return some of the grasps, by a mask (n,) or indices."""
         return Grasps(*(getattr(self, name)[keep] for name in _FIELDS))
 
+    @staticmethod
+    def concatenated(parts: Sequence["Grasps"]) -> "Grasps":
+        """Return all grasps of at least one part."""
+        return Grasps(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS))
+
 
 _FIELDS = tuple(Grasps.__dataclass_fields__)
-
-
-def joined(parts: Sequence[Grasps]) -> Grasps:
-    """Return all grasps of at least one part."""
-    return Grasps(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS))
 
 
 class GraspFolder:
@@ -76,10 +86,10 @@ class GraspFolder:
             MechSearchError: If the folder holds grasps that were made from something else.
         """
         self.path = path
-        self._manifest: dict[str, Any] = {"format": FORMAT, **identity, "shards": {}}
-        file = path / MANIFEST
+        self._manifest: dict[str, Any] = {"format": _FORMAT, **identity, "shards": {}}
+        file = path / MANIFEST_FILE
         if file.exists():
-            found = read_record(file, "manifest of a grasp set", ("format", "shards"))
+            found = read_record(file, _PURPOSE, ("format", "shards"))
             if {**found, "shards": {}} != self._manifest:
                 differing = [k for k, v in self._manifest.items() if found.get(k) != v]
                 raise MechSearchError(
@@ -87,12 +97,6 @@ class GraspFolder:
                     f"{', '.join(k for k in differing if k != 'shards')}; name another folder"
                 )
             self._manifest = found
-
-    @property
-    def counts(self) -> tuple[int, int]:
-        """Number of grasps, and of those that succeed."""
-        shards = self._manifest["shards"].values()
-        return sum(s["grasps"] for s in shards), sum(s["positive"] for s in shards)
 
     def has(self, name: str) -> bool:
         """Return whether a shard is there, whole."""
@@ -104,15 +108,13 @@ class GraspFolder:
         """Write a shard and enter it into the manifest."""
         arrays = {field: getattr(grasps, field) for field in _FIELDS}
         file = self.path / name
-        write_whole(
-            file, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays)
-        )
+        write_whole(file, lambda to: np.savez_compressed(to, allow_pickle=False, **arrays))
         self._manifest["shards"][name] = {
             "sha256": _sha256(file),
             "grasps": len(grasps),
             "positive": int(grasps.success.sum()),
         }
-        write_record(self.path / MANIFEST, "manifest of a grasp set", self._manifest)
+        write_record(self.path / MANIFEST_FILE, _PURPOSE, self._manifest)
 
 
 def load_grasps(path: Path) -> Grasps:
@@ -121,25 +123,21 @@ def load_grasps(path: Path) -> Grasps:
     Raises:
         MechSearchError: If there are none, or a shard is missing or damaged.
     """
-    manifest = read_record(path / MANIFEST, "manifest of a grasp set", ("format", "shards"))
-    if manifest["format"] != FORMAT:
+    manifest = read_record(path / MANIFEST_FILE, _PURPOSE, ("format", "shards"))
+    if manifest["format"] != _FORMAT:
         raise MechSearchError(
-            f"{path / MANIFEST} is of labelled grasps of format {manifest['format']}; this version "
-            f"reads {FORMAT}"
+            f"{path / MANIFEST_FILE} is of labelled grasps of format {manifest['format']}; this "
+            f"version reads {_FORMAT}"
         )
     parts = []
     for name, entry in sorted(manifest["shards"].items()):
         file = path / name
         if not file.is_file() or _sha256(file) != entry["sha256"]:
             raise MechSearchError(f"shard {file} is missing or damaged; label again to replace it")
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                parts.append(Grasps(*(arrays[name] for name in _FIELDS)))
-        except ARRAY_DAMAGE as error:
-            raise MechSearchError(f"shard {file} is damaged: {error}") from None
+        parts.append(Grasps(**read_arrays(file, "shard of labelled grasps")))
     if not parts:
         raise MechSearchError(f"{path} holds no grasps yet")
-    return joined(parts)
+    return Grasps.concatenated(parts)
 
 
 def _sha256(path: Path) -> str:

@@ -1,5 +1,6 @@
 """How good predicted qualities are, against what happened."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ class Verdict:
         auc: Chance that a success is rated above a failure.
         brier: Mean squared error of the quality as a probability.
         calibration_error: Mean distance of quality and share of successes, over ten bins.
+        curve: Mean quality, share of successes and count of each bin that is not empty.
     """
 
     grasps: int
@@ -26,6 +28,7 @@ class Verdict:
     auc: float
     brier: float
     calibration_error: float
+    curve: list[list[float]]
 
 
 def judge(quality: Array, success: Array) -> Verdict:
@@ -45,7 +48,7 @@ def judge(quality: Array, success: Array) -> Verdict:
     error = float((shares[:, 2] * np.abs(shares[:, 0] - shares[:, 1])).sum() / len(q))
     return Verdict(
         len(q), float(won.mean()), average_precision(q, won), auc(q, won),
-        float(((q - won) ** 2).mean()), error,
+        float(((q - won) ** 2).mean()), error, shares.tolist(),
     )  # fmt: skip
 
 
@@ -122,3 +125,18 @@ def reliability(quality: Floats, success: Array, bins: int = 10) -> Floats:
         if own.any()
     ]
     return np.array(rows, np.float64)
+
+
+@dataclass(frozen=True)
+class NetworkComparison:
+    """Grasp networks against each other, on the same labelled grasps.
+
+    Attributes:
+        heaps: To which the grasps belong, how many.
+        networks: Verdict on each, by name.
+        gain_over: Of the first network over each other one.
+    """
+
+    heaps: int
+    networks: Mapping[str, Verdict]
+    gain_over: Mapping[str, Gain]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mechsearch.grasp.quality import BEST, ceiling, graspability
+from mechsearch.grasp.graspability import BEST, ceiling, graspability
 from mechsearch.types import MechSearchError
 
 

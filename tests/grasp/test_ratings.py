@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.grasp.candidates import alike
-from mechsearch.grasp.grid import cells, depth_bins
-from mechsearch.grasp.policy import rate
-from mechsearch.grasp.view import GraspView
+from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.graspability import rate
+from mechsearch.grasp.image_grasp import alike, cells, depth_bins
 
 
 def view(depth, camera, rows, columns):

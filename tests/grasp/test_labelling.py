@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.grasp.candidates import ImageGrasp
-from mechsearch.grasp.learning.grasp_set import MANIFEST, OUTCOMES, GraspFolder, load_grasps
-from mechsearch.grasp.learning.label import LabelConfig, label, thumbnail
-from mechsearch.grasp.view import view_of_heap
+from mechsearch.grasp.grasp_view import view_of_heap
+from mechsearch.grasp.image_grasp import ImageGrasp
+from mechsearch.grasp.learning.grasp_set import MANIFEST_FILE, OUTCOMES, GraspFolder, load_grasps
+from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, thumbnail
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.sim.lift import Outcome
@@ -23,7 +23,7 @@ def heap_set(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def labelled(heap_set, tmp_path_factory):
-    return label(heap_set, "household", CONFIG, tmp_path_factory.mktemp("labels")).path
+    return label_grasps(heap_set, "household", CONFIG, tmp_path_factory.mktemp("labels")).path
 
 
 def test_every_grasp_has_a_label_a_heap_and_an_object(heap_set, labelled):
@@ -49,10 +49,10 @@ def test_labels_do_not_depend_on_workers_or_interruption(heap_set, labelled, tmp
             raise CutOffError
 
     with pytest.raises(CutOffError):
-        label(heap_set, "household", CONFIG, tmp_path, progress=cut_off)
+        label_grasps(heap_set, "household", CONFIG, tmp_path, progress=cut_off)
     assert (tmp_path / "grasps-00000.npz").exists()
-    label(heap_set, "household", CONFIG, tmp_path, workers=2)
-    assert (tmp_path / MANIFEST).read_text() == (labelled / MANIFEST).read_text()
+    label_grasps(heap_set, "household", CONFIG, tmp_path, workers=2)
+    assert (tmp_path / MANIFEST_FILE).read_text() == (labelled / MANIFEST_FILE).read_text()
 
 
 def test_a_damaged_shard_is_found_and_labelled_again(heap_set, labelled, tmp_path):
@@ -63,20 +63,20 @@ def test_a_damaged_shard_is_found_and_labelled_again(heap_set, labelled, tmp_pat
     shard.write_bytes(whole[:-10])
     with pytest.raises(MechSearchError, match="missing or damaged"):
         load_grasps(tmp_path)
-    label(heap_set, "household", CONFIG, tmp_path)
+    label_grasps(heap_set, "household", CONFIG, tmp_path)
     assert shard.read_bytes() == whole
 
 
 def test_grasps_of_another_kind_are_not_mixed_in(heap_set, labelled):
     with pytest.raises(MechSearchError, match="grasps made from another config"):
-        label(heap_set, "household", replace(CONFIG, seed=9), labelled)
+        label_grasps(heap_set, "household", replace(CONFIG, seed=9), labelled)
 
 
 def test_a_folder_without_grasps_is_refused(tmp_path):
     with pytest.raises(MechSearchError, match="no manifest of a grasp set"):
         load_grasps(tmp_path)
     GraspFolder(tmp_path, {})
-    (tmp_path / MANIFEST).write_text('{"format": 1, "shards": {}}')
+    (tmp_path / MANIFEST_FILE).write_text('{"format": 1, "shards": {}}')
     with pytest.raises(MechSearchError, match="holds no grasps yet"):
         load_grasps(tmp_path)
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_labelled_is_refused(heap_set, tmp_path):
             LabelConfig(**wrong)
     empty = HeapSet(tuple(heap_set.train), heap_set.manifest, heap_set.hash)
     with pytest.raises(MechSearchError, match="has 0 held-out heaps"):
-        label(empty, "household", LabelConfig(split="held-out"), tmp_path)
+        label_grasps(empty, "household", LabelConfig(split="held-out"), tmp_path)
 
 
 def test_a_thumbnail_shows_the_grasp_in_its_middle(make_box):

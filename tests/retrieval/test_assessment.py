@@ -1,9 +1,7 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from mechsearch.grasp.standing import StandingTask, at_rest, measure
+from mechsearch.retrieval.assessment import GraspTask, assess, settled
 from mechsearch.sim.lift import Outcome
 
 
@@ -22,14 +20,14 @@ CLEARED = np.array([at(0, 0, 0.015), at(0.25, 0, 0.01)])
 
 
 def task(poses, **options):
-    return StandingTask(Path(), "boxes", ("bar", "lid"), 0, poses, **options)
+    return GraspTask("boxes", ("bar", "lid"), poses, 0, **options)
 
 
 def test_uncovering_makes_a_target_graspable_and_retrieved(released, scene):
-    covered = measure(released, scene, task(COVERED, at_rest=True, alone=True))
+    covered = assess(released, scene, task(COVERED, alone=True))
     assert covered.now.score == 0.0
     assert covered.retrieved is None
-    cleared = measure(released, scene, task(CLEARED))
+    cleared = assess(released, scene, task(CLEARED, at_rest=False))
     assert cleared.now.score > 0.97
     assert cleared.retrieved is Outcome.SUCCESS
     assert cleared.alone is None
@@ -37,7 +35,9 @@ def test_uncovering_makes_a_target_graspable_and_retrieved(released, scene):
 
 
 def test_a_lost_target_counts_zero(released, scene):
-    lost = measure(released, scene, task(np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)])))
+    lost = assess(
+        released, scene, task(np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)]), at_rest=False)
+    )
     assert lost.now.lost
     assert lost.now.score == 0.0
     assert lost.retrieved is None
@@ -45,8 +45,8 @@ def test_a_lost_target_counts_zero(released, scene):
 
 def test_the_end_is_measured_at_rest_without_the_robot(scene):
     in_the_air = np.array([at(0, 0, 0.015), at(0.25, 0, 0.06)])
-    settled = at_rest(scene, in_the_air)
-    assert settled[1, 2] == pytest.approx(0.01, abs=1e-3)
-    np.testing.assert_allclose(settled[0], COVERED[0], atol=1e-3)
-    gone = at_rest(scene, np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)]))
+    found = settled(scene, in_the_air)
+    assert found[1, 2] == pytest.approx(0.01, abs=1e-3)
+    np.testing.assert_allclose(found[0], COVERED[0], atol=1e-3)
+    gone = settled(scene, np.array([at(0.6, 0, -0.7), at(0.2, 0, 0.01)]))
     np.testing.assert_array_equal(gone[0], at(0.6, 0, -0.7))

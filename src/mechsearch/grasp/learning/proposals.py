@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.grasp.candidates import ImageGrasp, bin_angle
-from mechsearch.grasp.grid import ANGLES, depth_bins
-from mechsearch.grasp.view import GraspView
+from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.image_grasp import ANGLES, ImageGrasp, bin_angle, depth_bins
 from mechsearch.sim.gripper import Gripper
 from mechsearch.types import Array, Floats
 

@@ -3,12 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from mechsearch.cli.graspability import Grasping
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
-from mechsearch.processes import silent
-from mechsearch.training.graspability import GraspabilityChange
+from mechsearch.retrieval.episodes import GraspabilityChange, assess_evaluation
 
 
 def episodes(policy, limit):
@@ -20,7 +18,7 @@ def test_curves_have_the_bits_that_an_evaluation_of_the_same_episodes_measures()
     found = episodes("teacher-zigzag", 3)
     change = GraspabilityChange(load_network(), object_set("household"))
     changes = [change(record) for record in found.episodes]
-    measured = Grasping(None, "household", 1).measured(found, silent).episodes
+    measured = assess_evaluation(found, objects="household").episodes
     assert changes == [record.grasp.after - record.grasp.before for record in measured]
     assert any(changes)
     # The start of a heap is rated once.

@@ -1,7 +1,7 @@
 """Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,21 +22,26 @@ from mechsearch.files.tensors import (
     prefixed,
     save_archive,
 )
-from mechsearch.grasp.grid import ANGLES
+from mechsearch.grasp.image_grasp import ANGLES
 from mechsearch.grasp.learning.grasp_set import Grasps
-from mechsearch.grasp.learning.metrics import Verdict, judge
-from mechsearch.grasp.network import GraspNetwork, ready, save_network
+from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
+from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, MechSearchError
 
-KIND = "mechsearch grasp training"
-CHECKPOINT = "checkpoint.safetensors"
-NETWORK = "network.safetensors"
+_KIND = "mechsearch grasp training"
+
+CHECKPOINT_FILE = "checkpoint.safetensors"
+
+NETWORK_FILE = "network.safetensors"
+"""The best network of a training."""
+
+_LOGGED = ("average_precision", "auc", "brier", "base_rate")
 
 
 @dataclass(frozen=True)
-class FitConfig:
+class GraspTrainConfig:
     """How to train.
 
     Attributes:
@@ -67,8 +72,8 @@ class FitConfig:
             raise MechSearchError(f"a validation share of {self.validation}; expected 0 to 1")
 
 
-def fit(
-    grasps: Grasps, config: FitConfig, folder: Path, progress: Progress = silent
+def train_grasp_network(
+    grasps: Grasps, config: GraspTrainConfig, folder: Path, progress: Progress = silent
 ) -> list[dict[str, float]]:
     """Train a network, or go on; write the best one as `network.safetensors`.
 
@@ -86,33 +91,27 @@ def fit(
             the folder holds another training, or another process is at work in it.
     """
     with alone(folder / "training", f"the training {folder}"):
-        return _fit_alone(grasps, config, folder, progress)
-
-
-def _fit_alone(
-    grasps: Grasps, config: FitConfig, folder: Path, progress: Progress
-) -> list[dict[str, float]]:
-    learn, check = split_by_heap(grasps, config.validation)
-    network = _fresh(learn, config)
-    optimizer = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
-    identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
-    history = _resume(folder / CHECKPOINT, identity, network, optimizer)
-    for epoch in range(len(history), config.epochs):
-        loss = _train(network, optimizer, learn, config, epoch)
-        verdict = judge(predict(network, check), check.success)
-        history.append(_row(loss, verdict))
-        best = max(row["average_precision"] for row in history)
-        if history[-1]["average_precision"] == best:
-            save_network(folder / NETWORK, network, {"validation": history[-1]})
-        tensors = prefixed("network", network.state_dict())
-        tensors |= prefixed("adam", optimizer_tensors(optimizer))
-        meta = {"identity": identity, "history": history}
-        save_archive(folder / CHECKPOINT, Archive(KIND, tensors, meta))
-        label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
-        progress(label, epoch + 1, config.epochs)
-    return history
+        learn, check = split_by_heap(grasps, config.validation)
+        network = _fresh(learn, config)
+        optimizer = torch.optim.AdamW(
+            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+        )
+        identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
+        history = _resume(folder / CHECKPOINT_FILE, identity, network, optimizer)
+        for epoch in range(len(history), config.epochs):
+            loss = _train(network, optimizer, learn, config, epoch)
+            verdict = judge(predict(network, check), check.success)
+            history.append({"loss": loss, **{name: getattr(verdict, name) for name in _LOGGED}})
+            best = max(row["average_precision"] for row in history)
+            if history[-1]["average_precision"] == best:
+                save_network(folder / NETWORK_FILE, network, {"validation": history[-1]})
+            tensors = prefixed("network", network.state_dict())
+            tensors |= prefixed("adam", optimizer_tensors(optimizer))
+            meta = {"identity": identity, "history": history}
+            save_archive(folder / CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
+            label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
+            progress(label, epoch + 1, config.epochs)
+        return history
 
 
 def split_by_heap(grasps: Grasps, share: float) -> tuple[Grasps, Grasps]:
@@ -144,6 +143,26 @@ def predict(network: GraspNetwork, grasps: Grasps, batch: int = 256) -> NDArray[
     return np.concatenate(found)
 
 
+def compare_networks(grasps: Grasps, networks: Mapping[str, Path | None]) -> NetworkComparison:
+    """Return how good networks are on grasps, and the gain of the first over each other one.
+
+    Args:
+        grasps: Labelled grasps that they have not learnt from.
+        networks: File of each by name; None is the shipped one.
+
+    Raises:
+        MechSearchError: If a network is no good, or all outcomes are alike.
+    """
+    rated = {name: predict(load_network(path), grasps) for name, path in networks.items()}
+    success, heap = grasps.success, grasps.heap
+    (_, ours), *others = rated.items()
+    return NetworkComparison(
+        len(np.unique(heap)),
+        {name: judge(quality, success) for name, quality in rated.items()},
+        {name: paired_gain(ours, quality, success, heap) for name, quality in others},
+    )
+
+
 def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:
     """Return what grasps look like mirrored or turned, and their angle bins.
 
@@ -165,7 +184,7 @@ def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:
     return out, bins
 
 
-def _fresh(learn: Grasps, config: FitConfig) -> GraspNetwork:
+def _fresh(learn: Grasps, config: GraspTrainConfig) -> GraspNetwork:
     """Return a network with random weights, its input scaled as the grasps are."""
     sample = learn.relative[:: max(1, len(learn) // 4096)].astype(np.float64)
     with torch.random.fork_rng():
@@ -177,7 +196,7 @@ def _train(
     network: GraspNetwork,
     optimizer: torch.optim.Optimizer,
     learn: Grasps,
-    config: FitConfig,
+    config: GraspTrainConfig,
     epoch: int,
 ) -> float:
     """Go through all grasps once; return the mean loss."""
@@ -197,7 +216,7 @@ def _train(
 
 
 def _batches(
-    learn: Grasps, config: FitConfig, epoch: int
+    learn: Grasps, config: GraspTrainConfig, epoch: int
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     # Of its epoch alone, so that a resumed training is the same training.
     rng = np.random.default_rng([config.seed, epoch])
@@ -216,16 +235,6 @@ def _tensor(seen: Array) -> Tensor:
     return images.contiguous(memory_format=torch.channels_last)
 
 
-def _row(loss: float, verdict: Verdict) -> dict[str, float]:
-    return {
-        "loss": loss,
-        "average_precision": verdict.average_precision,
-        "auc": verdict.auc,
-        "brier": verdict.brier,
-        "base_rate": verdict.base_rate,
-    }
-
-
 def _resume(
     path: Path,
     identity: dict[str, Any],
@@ -235,7 +244,7 @@ def _resume(
     """Take up a checkpoint, if there is one; return the history so far."""
     if not path.exists():
         return []
-    archive = load_archive(path, KIND)
+    archive = load_archive(path, _KIND)
     stored = archive.meta["identity"]
     differing = [name for name, value in identity.items() if stored.get(name) != value]
     if differing:

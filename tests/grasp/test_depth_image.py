@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mechsearch.grasp.image_file import read_view
+from mechsearch.grasp.depth_image import read_view
 from mechsearch.types import MechSearchError
 
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mechsearch.grasp.view import check_opening, metric_camera, view_of_image
+from mechsearch.grasp.depth_image import view_of_image
+from mechsearch.grasp.grasp_view import check_opening, metric_camera
 from mechsearch.types import MechSearchError
 
 

@@ -7,18 +7,17 @@ that success is not too rare to learn.
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import alone
-from mechsearch.grasp.candidates import ImageGrasp, angle_bin
-from mechsearch.grasp.grid import FIELD
-from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps, joined
-from mechsearch.grasp.proposals import antipodal, uniform
-from mechsearch.grasp.view import GraspView, view_of_heap
-from mechsearch.heaps.choice import evenly_spread
+from mechsearch.grasp.grasp_view import GraspView, view_of_heap
+from mechsearch.grasp.image_grasp import FIELD, ImageGrasp, angle_bin
+from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps
+from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.processes import Progress, map_in_order, silent
@@ -60,16 +59,16 @@ class LabelConfig:
     def __post_init__(self) -> None:
         if self.split not in ("train", "held-out"):
             raise MechSearchError(f"unknown split {self.split!r}; choose one of train, held-out")
-        if self.per_object < 1 or self.shard < 1 or self.limit < 0:
+        if self.per_object < 1 or self.shard < 1:
             raise MechSearchError(
-                f"{self.per_object} grasps on each object, {self.shard} heaps in a file, limit "
-                f"{self.limit}; expected at least 1, 1 and 0"
+                f"{self.per_object} grasps on each object, {self.shard} heaps in a file; expected "
+                "at least 1 of each"
             )
         if not 0.0 <= self.geometric <= 1.0:
             raise MechSearchError(f"a geometric share of {self.geometric}; expected 0 to 1")
 
 
-def label(
+def label_grasps(
     heap_set: HeapSet,
     objects: str,
     config: LabelConfig,
@@ -92,41 +91,24 @@ def label(
             process fills it.
     """
     with alone(path / "grasps", f"the grasp set {path}"):
-        return _label_alone(heap_set, objects, config, path, workers, progress)
-
-
-def _label_alone(
-    heap_set: HeapSet,
-    objects: str,
-    config: LabelConfig,
-    path: Path,
-    workers: int,
-    progress: Progress,
-) -> GraspFolder:
-    check_objects(heap_set, object_set(objects))
-    heaps = heap_set.train if config.split == "train" else heap_set.held_out
-    if not heaps or config.limit > len(heaps):
-        raise MechSearchError(
-            f"{config.limit or 'all'} heaps asked for; the set has {len(heaps)} {config.split} "
-            "heaps"
-        )
-    heaps = [heaps[i] for i in evenly_spread(len(heaps), config.limit or len(heaps))]
-    identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
-    folder = GraspFolder(path, identity)
-    starts = range(0, len(heaps), config.shard)
-    missing = [start for start in starts if not folder.has(_name(start, config))]
-    done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
-    progress("labelled heaps", done, len(heaps))
-    tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
-    labelled = map_in_order(_LabelHeap(objects, config), tasks, workers)
-    for start in missing:
-        parts = []
-        for _ in heaps[start : start + config.shard]:
-            parts.append(next(labelled))
-            done += 1
-            progress("labelled heaps", done, len(heaps))
-        folder.add(_name(start, config), joined(parts))
-    return folder
+        check_objects(heap_set, object_set(objects))
+        heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
+        identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
+        folder = GraspFolder(path, identity)
+        starts = range(0, len(heaps), config.shard)
+        missing = [start for start in starts if not folder.has(_name(start, config))]
+        done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
+        progress("labelled heaps", done, len(heaps))
+        tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
+        labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
+        for start in missing:
+            parts = []
+            for _ in heaps[start : start + config.shard]:
+                parts.append(next(labelled))
+                done += 1
+                progress("labelled heaps", done, len(heaps))
+            folder.add(_name(start, config), Grasps.concatenated(parts))
+        return folder
 
 
 def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
@@ -183,14 +165,3 @@ def _proposed(
 
 def _name(start: int, config: LabelConfig) -> str:
     return f"grasps-{start // config.shard:05d}.npz"
-
-
-@dataclass(frozen=True)
-class _LabelHeap:
-    """`label_heap` with its other arguments bound, for worker processes."""
-
-    objects: str
-    config: LabelConfig
-
-    def __call__(self, heap: Heap) -> Grasps:
-        return label_heap(heap, self.objects, self.config)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.grasp.grid import FIELD
+from mechsearch.grasp.image_grasp import FIELD
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Array, MechSearchError
 
 NETWORK_OPENING = (0.05, 0.06)
 """Openings of a gripper [m] that the networks can speak for."""
@@ -19,10 +19,6 @@ METRIC_HEIGHT = 0.8
 """Of the metric camera above the table [m]."""
 
 _FOCAL = 552.5
-
-_WIDTH_PX = (23.0, 46.0)
-"""Width of a 5 cm gripper at the target [px]: where the released network's scores were found
-steady; 0.8 m below the metric camera it is 34.5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,54 +52,6 @@ class GraspView:
         y, x = rows.start - row, columns.start - column
         out[y : y + part.shape[0], x : x + part.shape[1]] = part
         return out
-
-
-def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
-    """Return a user's depth image, checked and filled.
-
-    Holes (0 or not finite) take the median of the other pixels, and are no part of the target.
-
-    Args:
-        depth: (H, W) or (H, W, 1) [m].
-        mask: The target (H, W) or (H, W, 1), bool or 0 where it is not.
-        camera: Its size must be the image's.
-
-    Raises:
-        MechSearchError: If sizes differ, depths are no metres, most of the image is holes, no pixel
-            of the target is visible, or the target is too near or far for the networks.
-    """
-    raw, inside = _flat("depth image", depth), _flat("mask", mask) != 0
-    if inside.shape != raw.shape:
-        raise MechSearchError(f"the mask is {inside.shape}, the depth image {raw.shape}")
-    if (camera.height, camera.width) != raw.shape:
-        raise MechSearchError(
-            f"the depth image is {raw.shape}, but the intrinsics are for "
-            f"{(camera.height, camera.width)}"
-        )
-    metres = raw.astype(np.float32)
-    seen = np.isfinite(metres) & (metres > 0)
-    if seen.mean() < 0.25:
-        raise MechSearchError(
-            f"{1 - seen.mean():.0%} of the depth image are holes (0 or not finite); expected less "
-            "than 75%"
-        )
-    middle = float(np.median(metres[seen]))
-    if middle > 20.0:
-        raise MechSearchError(
-            f"the median depth is {middle:.0f}; expected metres, so divide millimetres by 1000"
-        )
-    inside = inside & seen
-    if not inside.any():
-        raise MechSearchError("the mask has no pixel with a depth: no target is visible")
-    width = camera.fx * NETWORK_OPENING[0] / float(np.median(metres[inside]))
-    if not _WIDTH_PX[0] <= width <= _WIDTH_PX[1]:
-        raise MechSearchError(
-            f"at the target a 5 cm gripper is {width:.0f} px wide; the networks know "
-            f"{_WIDTH_PX[0]:.0f} to {_WIDTH_PX[1]:.0f} px, so resize image, mask and intrinsics by "
-            f"about {34.5 / width:.2f}"
-        )
-    filled = np.where(seen, metres, np.float32(middle)).astype(np.float32)
-    return GraspView(filled, inside, camera, float(filled.max()))
 
 
 def check_opening(opening: float) -> None:
@@ -150,17 +98,3 @@ def view_of_heap(models: Sequence[ObjectModel], poses: Array, target: int) -> Gr
     # An edge of the table would look like a drop that no gripper needs to heed.
     frame = Renderer(models, table_half=100.0).frame(camera, poses)
     return GraspView(frame.depth, frame.modal(target), camera, METRIC_HEIGHT)
-
-
-def view_of_target(model: ObjectModel, pose: Floats) -> GraspView:
-    """Return the metric view of the target where it lies, all clutter removed."""
-    return view_of_heap([model], pose[None], 0)
-
-
-def _flat(name: str, image: Array) -> Array:
-    array = np.asarray(image)
-    if array.ndim == 3 and array.shape[2] == 1:
-        array = array[..., 0]
-    if array.ndim != 2:
-        raise MechSearchError(f"the {name} has shape {array.shape}; expected (H, W)")
-    return array

@@ -2,10 +2,17 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.grasp.candidates import ImageGrasp, angle_bin
-from mechsearch.grasp.learning.fit import NETWORK, FitConfig, fit, predict, split_by_heap, turned
+from mechsearch.grasp.image_grasp import ImageGrasp, angle_bin
 from mechsearch.grasp.learning.grasp_set import OUTCOMES, Grasps
 from mechsearch.grasp.learning.metrics import judge
+from mechsearch.grasp.learning.training import (
+    NETWORK_FILE,
+    GraspTrainConfig,
+    predict,
+    split_by_heap,
+    train_grasp_network,
+    turned,
+)
 from mechsearch.grasp.network import load_network
 from mechsearch.sim.lift import Outcome
 from mechsearch.types import MechSearchError
@@ -65,10 +72,10 @@ def test_no_heap_is_on_both_sides_of_the_split():
 
 
 def test_a_network_learns_which_way_to_close(tmp_path):
-    history = fit(bars(400), FitConfig(epochs=4, batch=16, seed=1), tmp_path)
+    history = train_grasp_network(bars(400), GraspTrainConfig(epochs=4, batch=16, seed=1), tmp_path)
     assert history[-1]["loss"] < history[0]["loss"]
     fresh = bars(200, seed=7)
-    verdict = judge(predict(load_network(tmp_path / NETWORK), fresh), fresh.success)
+    verdict = judge(predict(load_network(tmp_path / NETWORK_FILE), fresh), fresh.success)
     assert verdict.auc > 0.9
 
 
@@ -79,20 +86,22 @@ def test_a_training_that_was_cut_off_goes_on_to_the_same_network(tmp_path):
     def cut_off(label, done, total):
         raise CutOffError
 
-    grasps, config = bars(80), FitConfig(epochs=2, batch=32, validation=0.3)
-    whole = fit(grasps, config, tmp_path / "whole")
+    grasps, config = bars(80), GraspTrainConfig(epochs=2, batch=32, validation=0.3)
+    whole = train_grasp_network(grasps, config, tmp_path / "whole")
     with pytest.raises(CutOffError):
-        fit(grasps, config, tmp_path / "cut", cut_off)
-    assert fit(grasps, config, tmp_path / "cut") == whole
-    one, other = (load_network(tmp_path / name / NETWORK) for name in ("whole", "cut"))
+        train_grasp_network(grasps, config, tmp_path / "cut", cut_off)
+    assert train_grasp_network(grasps, config, tmp_path / "cut") == whole
+    one, other = (load_network(tmp_path / name / NETWORK_FILE) for name in ("whole", "cut"))
     for name, tensor in one.state_dict().items():
         assert torch.equal(tensor, other.state_dict()[name])
 
 
 def test_a_folder_of_another_training_is_refused(tmp_path):
-    fit(bars(60), FitConfig(epochs=1, validation=0.3), tmp_path)
+    train_grasp_network(bars(60), GraspTrainConfig(epochs=1, validation=0.3), tmp_path)
     with pytest.raises(MechSearchError, match="another learning_rate"):
-        fit(bars(60), FitConfig(epochs=2, validation=0.3, learning_rate=0.1), tmp_path)
+        train_grasp_network(
+            bars(60), GraspTrainConfig(epochs=2, validation=0.3, learning_rate=0.1), tmp_path
+        )
     for wrong in ({"epochs": 0}, {"validation": 1.0}, {"learning_rate": 0.0}):
         with pytest.raises(MechSearchError, match="expected"):
-            FitConfig(**wrong)
+            GraspTrainConfig(**wrong)

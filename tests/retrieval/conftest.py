@@ -1,0 +1,5 @@
+"""What gets targets into the gripper needs PyTorch."""
+
+import pytest
+
+pytest.importorskip("torch")
