@@ -3,7 +3,8 @@
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
 environments, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
 `generate` and `load_heaps` heap sets, `load_object_set` objects, `make_policy` policies by name,
-file or function, and `evaluate` their episodes. Each is imported when it is first used.
+file or function, `evaluate` their episodes, and `train` runs of any algorithm (PyTorch). Each is
+imported when it is first used.
 """
 
 from importlib import import_module
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from mechsearch.heaps.dataset import load as load_heaps
     from mechsearch.heaps.generate import GenerateConfig, generate
     from mechsearch.objects.catalog import load_object_set
+    from mechsearch.training.config import run_config
+    from mechsearch.training.run import train
     from mechsearch.types import MechSearchError, Policy
 
 _PLACES = {
@@ -40,6 +43,8 @@ _PLACES = {
     "make_env": "env.register:make_env",
     "make_vector_env": "env.register:make_vector_env",
     "make_policy": "evaluation.policies:make_policy",
+    "run_config": "training.config:run_config",
+    "train": "training.run:train",
 }
 
 __version__ = version("mechsearch")
@@ -59,6 +64,8 @@ __all__ = [
     "make_env",
     "make_policy",
     "make_vector_env",
+    "run_config",
+    "train",
 ]
 
 for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):

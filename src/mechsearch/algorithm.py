@@ -7,9 +7,9 @@ from one that a user names as `package.module:factory`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, Self, TypeVar, cast
 
 import gymnasium
 
@@ -148,7 +148,7 @@ class Session(Protocol):
 
 
 class Algorithm(Protocol):
-    """A way of learning; its fields are the options of `mechsearch train`."""
+    """A way of learning, a frozen dataclass whose fields are the options of `mechsearch train`."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -156,10 +156,11 @@ class Algorithm(Protocol):
 
     @property
     def teachers(self) -> tuple[str, ...]:
-        """Names of the teachers that it wants to be given."""
+        """Names of the teachers that it wants to be given; none, unless it says so."""
+        return ()
 
     def check(self, task: TaskConfig) -> None:
-        """Refuse a task that it cannot learn.
+        """Refuse a task that it cannot learn; there is none, unless it says so.
 
         Raises:
             MechSearchError: Saying what of the task is in the way.
@@ -205,6 +206,26 @@ class RunConfig(Generic[A]):
     def __post_init__(self) -> None:
         at_least(0, self, "seed")
         self.algorithm.check(self.task)
+
+    def changed(self, **options: Any) -> Self:
+        """Return it with other values of options, of its own or of a part, by their names alone.
+
+        Raises:
+            MechSearchError: If it has no option of a name.
+        """
+        changes: dict[str, Any] = {}
+        for name in ("schedule", "task", "algorithm"):
+            part = getattr(self, name)
+            own = {f.name: options.pop(f.name) for f in fields(part) if f.name in options}
+            changes |= {name: replace(part, **own)} if own else {}
+        known = {f.name for f in fields(self)}
+        if unknown := sorted(set(options) - known):
+            parts = (self, self.schedule, self.task, self.algorithm)
+            names = dict.fromkeys(f.name for part in parts for f in fields(cast(Any, part)))
+            raise MechSearchError(
+                f"{self.name} has no option {unknown[0]!r}; choose among {', '.join(names)}"
+            )
+        return replace(self, **changes, **options)
 
 
 def at_least(least: float, record: object, *names: str) -> None:

@@ -11,7 +11,6 @@ from mechsearch.experiments.schedule import chains_of, next_wave
 from mechsearch.experiments.status import status
 from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
-from tests.runs import changed
 
 
 def names(chains):
@@ -35,9 +34,9 @@ def test_runs_differ_from_their_presets_in_what_is_watched_alone():
     assert (run.seed, schedule.actions) == (3, 8000)
     assert (schedule.held_out_heaps, schedule.validation_heaps) == (50, 0)
     same = {"seed": 0, "validation_heaps": preset.schedule.validation_heaps}
-    assert changed(run, **same, held_out_heaps=0, grasp_network="") == preset
-    assert plan.config("plus", 0) == changed(
-        run_config("plus"), held_out_heaps=50, validation_heaps=0
+    assert run.changed(**same, held_out_heaps=0, grasp_network="") == preset
+    assert plan.config("plus", 0) == run_config("plus").changed(
+        held_out_heaps=50, validation_heaps=0
     )
 
 
@@ -55,8 +54,8 @@ def test_every_planned_run_can_be_made_longer_point_by_point_of_its_curve(plan):
     for variant in plan.variants:
         config = plan.config(variant, plan.seeds[0])
         assert config.schedule.actions % config.schedule.evaluate_every == 0
-        longer = changed(config, actions=config.schedule.actions + plan.curve_every)
-        assert changed(longer, actions=config.schedule.actions) == config
+        longer = config.changed(actions=config.schedule.actions + plan.curve_every)
+        assert longer.changed(actions=config.schedule.actions) == config
 
 
 def test_what_others_wait_for_comes_first_and_runs_come_seed_by_seed():

@@ -22,16 +22,14 @@ from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes import draw_pushes
 from mechsearch.report import curves
 from mechsearch.training.config import run_config
-from mechsearch.training.loop import train
+from mechsearch.training.loop import learn
 from mechsearch.training.policies import load_policy
 from mechsearch.types import MechSearchError
-from tests.runs import changed
 
 
 @pytest.fixture(scope="module")
 def plus():
-    return changed(
-        run_config("plus"),
+    return run_config("plus").changed(
         actions=60,
         evaluate_every=20,
         checkpoint_every=20,
@@ -67,7 +65,7 @@ def make_parts(make_env):
 def whole(plus, make_parts, tmp_path_factory):
     """A run that was never interrupted, and its last scores."""
     run = tmp_path_factory.mktemp("plus") / "whole"
-    return run, train(plus, make_parts(), run)
+    return run, learn(plus, make_parts(), run)
 
 
 def begun(config, make_env):
@@ -125,8 +123,8 @@ def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, whole, make
             raise Killed
 
     with pytest.raises(Killed):
-        train(plus, make_parts(), tmp_path, progress=kill)
-    train(plus, make_parts(), tmp_path, resume=True)
+        learn(plus, make_parts(), tmp_path, progress=kill)
+    learn(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
@@ -141,27 +139,27 @@ def test_a_disk_that_is_full_is_told_by_the_episodes_file_and_costs_nothing(
     with monkeypatch.context() as disk:
         disk.setattr(weights, "save_file", full)
         with pytest.raises(MechSearchError, match=r"cannot write .*pushes/000002.*free some space"):
-            train(plus, make_parts(), tmp_path)
+            learn(plus, make_parts(), tmp_path)
     assert not list(tmp_path.rglob("*.partial*"))
-    train(plus, make_parts(), tmp_path, resume=True)
+    learn(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
 def test_a_run_that_is_made_longer_is_the_run_that_was_longer_from_the_start(
     plus, whole, make_parts, tmp_path
 ):
-    train(changed(plus, actions=40), make_parts(), tmp_path)
+    learn(plus.changed(actions=40), make_parts(), tmp_path)
     assert [fit["step"] for fit in lines(tmp_path, "fit")] == [20, 40]
-    train(plus, make_parts(), tmp_path, resume=True)
+    learn(plus, make_parts(), tmp_path, resume=True)
     assert files(tmp_path) == files(whole[0])
 
 
 def test_a_run_that_ended_between_two_fits_goes_on_without_the_fit_at_its_end(
     plus, whole, make_parts, tmp_path
 ):
-    train(changed(plus, actions=50), make_parts(), tmp_path)
+    learn(plus.changed(actions=50), make_parts(), tmp_path)
     assert [fit["step"] for fit in lines(tmp_path, "fit")] == [20, 40, 50]
-    train(plus, make_parts(), tmp_path, resume=True)
+    learn(plus, make_parts(), tmp_path, resume=True)
     for name in ("metrics.jsonl", "actor.safetensors"):
         assert (tmp_path / name).read_bytes() == (whole[0] / name).read_bytes()
 
@@ -173,18 +171,18 @@ def test_an_episode_that_was_damaged_is_named_when_a_run_goes_on(plus, whole, ma
     content[-9] ^= 1
     file.write_bytes(bytes(content))
     with pytest.raises(MechSearchError, match=r"pushes/000001.safetensors is damaged"):
-        train(changed(plus, actions=80), make_parts(), tmp_path / "run", resume=True)
+        learn(plus.changed(actions=80), make_parts(), tmp_path / "run", resume=True)
 
 
 def test_an_episode_over_several_fits_leaves_none_out(plus, make_parts, tmp_path):
-    often = changed(plus, actions=12, evaluate_every=4)
-    train(often, make_parts(), tmp_path)
+    often = plus.changed(actions=12, evaluate_every=4)
+    learn(often, make_parts(), tmp_path)
     assert [fit["step"] for fit in lines(tmp_path, "fit")] == [4, 8, 12]
     assert [score["step"] for score in lines(tmp_path, "validation")] == [4, 8, 12]
 
 
 def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
-    explorer = changed(plus, explore=0.0, ranked=1.0)
+    explorer = plus.changed(explore=0.0, ranked=1.0)
     session = begun(explorer, make_env)
     session.remember(session.episode())
     session.fit()
@@ -201,7 +199,7 @@ def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
 
 def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(plus, make_env):
     def executed(explore):
-        session = begun(changed(plus, tries=1, explore=explore), make_env)
+        session = begun(plus.changed(tries=1, explore=explore), make_env)
         session.remember(session.episode())
         session.fit()
         obs, _ = session._env.reset(seed=1, options={"heap": 0})
@@ -217,7 +215,7 @@ def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(pl
 
 def test_more_tries_than_candidates_are_refused(plus):
     with pytest.raises(MechSearchError, match="tries is 13, but 12 candidates"):
-        changed(plus, tries=13)
+        plus.changed(tries=13)
 
 
 def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
@@ -233,5 +231,5 @@ def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
 def test_pushes_are_learnt_in_heaps_only(plus, make_parts, tmp_path):
     parts = replace(make_parts(), env=object())
     with pytest.raises(MechSearchError, match="learnt in heaps, not in a object"):
-        train(plus, parts, tmp_path)
+        learn(plus, parts, tmp_path)
     assert not any(tmp_path.iterdir())

@@ -9,7 +9,6 @@ from mechsearch.actor_critic.learner import LearnerConfig
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.algorithm import RunConfig, TrainingSetup
 from mechsearch.types import TEACHER_KEYS
-from tests.runs import changed
 
 SIZE = 16
 BOX = gymnasium.spaces.Box
@@ -143,8 +142,7 @@ def make_parts():
 @pytest.fixture(scope="session")
 def config():
     learner = LearnerConfig(batch=16, samples=5, network=SMALL, actor_rate=1e-3, actor_tau=0.05)
-    return changed(
-        RunConfig("method", ActorCritic()),
+    return RunConfig("method", ActorCritic()).changed(
         actions=120,
         teachers=("straight", "zigzag"),
         warmup=20,

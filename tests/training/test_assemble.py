@@ -11,11 +11,10 @@ from mechsearch.files.tensors import load_archive
 from mechsearch.heaps.dataset import HeapSet, load, object_set
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import PRESETS
-from mechsearch.training.loop import train
+from mechsearch.training.loop import learn
 from mechsearch.training.policies import load_policy
 from mechsearch.training.run_directory import CHECKPOINT_KIND
 from mechsearch.types import MechSearchError
-from tests.runs import changed
 
 SMALL = NetworkConfig(filters=4, hidden=(32, 32))
 
@@ -29,8 +28,7 @@ def heap_set(covered):
 @pytest.fixture
 def debug():
     learner = replace(PRESETS["debug"].algorithm.learner, network=SMALL)
-    return changed(
-        PRESETS["debug"],
+    return PRESETS["debug"].changed(
         actions=24,
         warmup=8,
         evaluate_every=24,
@@ -52,7 +50,7 @@ def test_training_validation_and_held_out_heaps_are_apart(debug, heap_set, boxes
 
 
 def test_held_out_heaps_are_not_watched_unless_asked(debug, heap_set, boxes):
-    parts = assemble(changed(debug, held_out_heaps=0), heap_set, boxes)
+    parts = assemble(debug.changed(held_out_heaps=0), heap_set, boxes)
     assert set(parts.evaluators) == {"validation"}
 
 
@@ -63,16 +61,16 @@ def test_evaluation_shows_the_actor_its_own_keys_alone(debug, heap_set, boxes):
 
 def test_too_few_heaps_are_refused(debug, heap_set, boxes):
     with pytest.raises(MechSearchError, match="9 validation heaps asked for; the set has 4"):
-        assemble(changed(debug, validation_heaps=9), heap_set, boxes)
+        assemble(debug.changed(validation_heaps=9), heap_set, boxes)
     with pytest.raises(MechSearchError, match="leave none to learn on"):
-        assemble(changed(debug, validation_heaps=4), heap_set, boxes)
+        assemble(debug.changed(validation_heaps=4), heap_set, boxes)
 
 
 def test_a_real_heap_trains_resumes_and_acts(debug, heap_set, boxes, tmp_path):
-    train(debug, assemble(debug, heap_set, boxes), tmp_path / "whole")
-    shorter = changed(debug, actions=20)
-    train(shorter, assemble(shorter, heap_set, boxes), tmp_path / "parts")
-    train(debug, assemble(debug, heap_set, boxes), tmp_path / "parts", resume=True)
+    learn(debug, assemble(debug, heap_set, boxes), tmp_path / "whole")
+    shorter = debug.changed(actions=20)
+    learn(shorter, assemble(shorter, heap_set, boxes), tmp_path / "parts")
+    learn(debug, assemble(debug, heap_set, boxes), tmp_path / "parts", resume=True)
     whole, parts = ((tmp_path / n / "metrics.jsonl").read_bytes() for n in ("whole", "parts"))
     assert whole == parts
     kinds = {record["kind"] for record in read_lines(tmp_path / "whole" / "metrics.jsonl")}
@@ -90,15 +88,15 @@ def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
     found = load(Path(str(resources.files("mechsearch.heaps") / "household_single.parquet")))
     few = HeapSet(tuple(found.heaps[i] for i in (0, 8, 17)), found.manifest, "")
     objects = object_set("household")
-    longer = changed(debug, actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)
-    train(longer, assemble(longer, few, objects), tmp_path / "whole")
-    shorter = changed(longer, actions=actions)
-    train(shorter, assemble(shorter, few, objects), tmp_path / "parts")
+    longer = debug.changed(actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)
+    learn(longer, assemble(longer, few, objects), tmp_path / "whole")
+    shorter = longer.changed(actions=actions)
+    learn(shorter, assemble(shorter, few, objects), tmp_path / "parts")
     last = tmp_path / "parts" / "checkpoints" / f"step-{actions:08d}.safetensors"
     episode = load_archive(last, CHECKPOINT_KIND).meta["episode"]
     assert set(episode["teachers"]) == {"straight", "zigzag", "spiral"}
     # Environments of their own, as in another process.
-    train(longer, assemble(longer, few, objects), tmp_path / "parts", resume=True)
+    learn(longer, assemble(longer, few, objects), tmp_path / "parts", resume=True)
     end = "checkpoints/step-00000034.safetensors"
     for name in ("metrics.jsonl", "actor.safetensors", end):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
@@ -107,9 +105,9 @@ def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
 def test_rating_the_targets_of_held_out_heaps_changes_nothing_else(
     debug, heap_set, boxes, tmp_path
 ):
-    rated = changed(debug, grasp_network="shipped")
+    rated = debug.changed(grasp_network="shipped")
     for name, config in (("rated", rated), ("plain", debug)):
-        train(config, assemble(config, heap_set, boxes), tmp_path / name)
+        learn(config, assemble(config, heap_set, boxes), tmp_path / name)
     logs = {
         name: list(read_lines(tmp_path / name / "metrics.jsonl")) for name in ("rated", "plain")
     }
@@ -125,6 +123,6 @@ def test_rating_the_targets_of_held_out_heaps_changes_nothing_else(
 
 
 def test_a_grasp_network_that_is_not_there_is_refused(debug, heap_set, boxes, tmp_path):
-    absent = changed(debug, grasp_network=str(tmp_path / "absent.safetensors"))
+    absent = debug.changed(grasp_network=str(tmp_path / "absent.safetensors"))
     with pytest.raises(MechSearchError, match=r"absent\.safetensors"):
         assemble(absent, heap_set, boxes)

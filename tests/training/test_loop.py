@@ -12,10 +12,9 @@ from mechsearch.actor_critic.guidance import Guidance
 from mechsearch.actor_critic.session import ActorCriticSession
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive, save_archive
-from mechsearch.training.loop import train
+from mechsearch.training.loop import learn
 from mechsearch.training.policies import load_policy
 from mechsearch.types import ACTOR_KEYS, MechSearchError
-from tests.runs import changed
 
 
 def lines(directory, kind=None):
@@ -27,7 +26,7 @@ def whole(config, make_parts, tmp_path_factory):
     """A finished run: its directory, last scores, and what it told of its progress."""
     directory, told = tmp_path_factory.mktemp("runs") / "whole", []
     parts = make_parts()
-    scores = train(config, parts, directory, progress=lambda *call: told.append(call))
+    scores = learn(config, parts, directory, progress=lambda *call: told.append(call))
     return directory, scores, told
 
 
@@ -53,7 +52,7 @@ def test_an_episode_line_tells_terms_choices_beliefs_and_updates(whole):
 
 
 def test_the_same_seed_gives_the_same_bytes(whole, config, make_parts, tmp_path):
-    train(config, make_parts(), tmp_path)
+    learn(config, make_parts(), tmp_path)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
@@ -65,7 +64,7 @@ def test_who_finishes_first_changes_nothing(whole, config, make_parts, reach_env
             time.sleep(0.02 * (self.total % 3 == 0))
             return super().step(action)
 
-    train(config, make_parts(SlowEnv()), tmp_path)
+    learn(config, make_parts(SlowEnv()), tmp_path)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
@@ -82,7 +81,7 @@ def test_the_collector_stops_at_an_episodes_end_and_goes_on_where_it_was(config,
 
 
 def test_another_seed_gives_another_run(whole, config, make_parts, tmp_path):
-    train(changed(config, seed=1, actions=30), make_parts(), tmp_path)
+    learn(config.changed(seed=1, actions=30), make_parts(), tmp_path)
     first, other = (next(read_lines(run / "metrics.jsonl")) for run in (whole[0], tmp_path))
     assert first != other
 
@@ -92,19 +91,19 @@ def test_a_run_made_longer_is_the_run_that_was_never_stopped(
     actions, whole, config, make_parts, tmp_path
 ):
     """In the middle of an episode and of a block, at an evaluation, before the first update."""
-    train(changed(config, actions=actions), make_parts(), tmp_path)
-    train(config, make_parts(), tmp_path, resume=True)
+    learn(config.changed(actions=actions), make_parts(), tmp_path)
+    learn(config, make_parts(), tmp_path, resume=True)
     # The shorter run looked at itself once more, at its end; that line is not of the longer run.
     last = "checkpoints/" + last_checkpoint(whole[0])
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors", last)
 
 
 def test_a_run_may_be_made_longer_action_by_action(config, make_parts, tmp_path):
-    config = changed(config, actions=34, noise=replace(config.algorithm.noise, correlation=0.7))
-    train(config, make_parts(), tmp_path / "whole")
+    config = config.changed(actions=34, noise=replace(config.algorithm.noise, correlation=0.7))
+    learn(config, make_parts(), tmp_path / "whole")
     for actions in range(18, 35):
-        longer = changed(config, actions=actions)
-        train(longer, make_parts(), tmp_path / "longer", resume=actions > 18)
+        longer = config.changed(actions=actions)
+        learn(longer, make_parts(), tmp_path / "longer", resume=actions > 18)
     assert_same_files(tmp_path / "longer", tmp_path / "whole", "metrics.jsonl", "actor.safetensors")
 
 
@@ -120,21 +119,21 @@ def test_a_killed_run_resumes_exactly(killed_at, whole, config, make_parts, reac
             return super().step(action)
 
     with pytest.raises(Killed):
-        train(config, make_parts(DyingEnv()), tmp_path)
+        learn(config, make_parts(DyingEnv()), tmp_path)
     assert last_checkpoint(tmp_path) == f"step-{killed_at - killed_at % 40:08d}.safetensors"
-    train(config, make_parts(), tmp_path, resume=True)
+    learn(config, make_parts(), tmp_path, resume=True)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
 def test_where_checkpoints_are_written_changes_nothing(whole, config, make_parts, tmp_path):
-    train(changed(config, checkpoint_every=7), make_parts(), tmp_path)
+    learn(config.changed(checkpoint_every=7), make_parts(), tmp_path)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
 def test_checkpoints_are_written_on_time_and_at_the_end_and_hold_the_episode(
     config, make_parts, tmp_path
 ):
-    train(changed(config, actions=47, checkpoint_every=45), make_parts(), tmp_path)
+    learn(config.changed(actions=47, checkpoint_every=45), make_parts(), tmp_path)
     names = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
     assert names == ["step-00000045.safetensors", "step-00000047.safetensors"]
     held = [load_archive(tmp_path / "checkpoints" / n, "mechsearch checkpoint") for n in names]
@@ -146,31 +145,31 @@ def test_checkpoints_are_written_on_time_and_at_the_end_and_hold_the_episode(
 
 
 def test_a_run_is_not_made_shorter(config, make_parts, tmp_path):
-    train(changed(config, actions=30), make_parts(), tmp_path)
+    learn(config.changed(actions=30), make_parts(), tmp_path)
     with pytest.raises(MechSearchError, match=r"executed 30 actions already.*at least.*not 29"):
-        train(changed(config, actions=29), make_parts(), tmp_path, resume=True)
+        learn(config.changed(actions=29), make_parts(), tmp_path, resume=True)
 
 
 def test_a_checkpoint_of_an_earlier_format_is_refused_by_its_number(config, make_parts, tmp_path):
-    train(changed(config, actions=30), make_parts(), tmp_path)
+    learn(config.changed(actions=30), make_parts(), tmp_path)
     path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
     archive = load_archive(path, "mechsearch checkpoint")
     older = {name: value for name, value in archive.meta.items() if name != "checkpoint"}
     save_archive(path, replace(archive, meta=older))
     with pytest.raises(MechSearchError, match=r"checkpoint of format 1.*from format 2.*version"):
-        train(config, make_parts(), tmp_path, resume=True)
+        learn(config, make_parts(), tmp_path, resume=True)
 
 
 def test_a_log_that_lost_lines_or_bits_is_named(config, make_parts, tmp_path):
-    train(changed(config, actions=60), make_parts(), tmp_path)
+    learn(config.changed(actions=60), make_parts(), tmp_path)
     log = tmp_path / "metrics.jsonl"
     content = log.read_bytes()
     log.write_bytes(content[: len(content) // 3])
     with pytest.raises(MechSearchError, match=r"metrics.jsonl .*lines are missing"):
-        train(config, make_parts(), tmp_path, resume=True)
+        learn(config, make_parts(), tmp_path, resume=True)
     log.write_bytes(content.replace(b"0.", b"1.", 1))
     with pytest.raises(MechSearchError, match=r"line 1 of .*metrics.jsonl is damaged"):
-        train(config, make_parts(), tmp_path, resume=True)
+        learn(config, make_parts(), tmp_path, resume=True)
 
 
 @pytest.mark.parametrize("written", [3, 9])
@@ -187,10 +186,10 @@ def test_a_full_disk_stops_a_run_by_name_and_costs_it_nothing(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(MechSearchError, match=r"cannot write .*No space left.*free some space"):
-        train(config, make_parts(), tmp_path)
+        learn(config, make_parts(), tmp_path)
     monkeypatch.undo()
     assert not list(tmp_path.rglob("*.partial*"))
-    train(config, make_parts(), tmp_path, resume=True)
+    learn(config, make_parts(), tmp_path, resume=True)
     assert_same_files(tmp_path, whole[0], "metrics.jsonl", "actor.safetensors")
 
 
@@ -204,8 +203,8 @@ def last_checkpoint(run):
 
 
 def test_a_failed_simulation_enters_no_replay(config, make_parts, reach_env, tmp_path):
-    config = changed(config, actions=60, checkpoint_every=1)
-    train(config, make_parts(reach_env(fail_at=30)), tmp_path / "run")
+    config = config.changed(actions=60, checkpoint_every=1)
+    learn(config, make_parts(reach_env(fail_at=30)), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     archive = load_archive(path, "mechsearch checkpoint")
     assert archive.meta["counts"]["failures"] == 1
@@ -223,7 +222,7 @@ def test_the_actor_is_drawn_to_the_teachers_that_are_imitated(
     imitated, choices, config, make_parts, monkeypatch
 ):
     monkeypatch.setattr(Guidance, "choose", lambda self, samples, rng: int(rng.integers(3)))
-    session = ActorCriticSession(changed(config, imitated=imitated), make_parts())
+    session = ActorCriticSession(config.changed(imitated=imitated), make_parts())
     acted = []
     while len(acted) < 60:
         for done in session.collector.collect(4):
@@ -237,8 +236,8 @@ def test_the_actor_is_drawn_to_the_teachers_that_are_imitated(
 
 
 def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path):
-    config = changed(config, actions=60, updates_per_action=1.5, evaluate_every=60)
-    train(config, make_parts(), tmp_path / "run")
+    config = config.changed(actions=60, updates_per_action=1.5, evaluate_every=60)
+    learn(config, make_parts(), tmp_path / "run")
     path = tmp_path / "run" / "checkpoints" / last_checkpoint(tmp_path / "run")
     counts = load_archive(path, "mechsearch checkpoint").meta["counts"]
     assert counts["updates"] == int(1.5 * (counts["step"] - config.algorithm.warmup))
@@ -255,8 +254,8 @@ def test_the_number_of_updates_follows_the_actions(config, make_parts, tmp_path)
 def test_ablations_are_settings_of_the_same_loop(changes, config, make_parts, tmp_path):
     if "noise" in changes:
         changes = {"noise": replace(config.algorithm.noise, **changes["noise"])}
-    config = changed(config, actions=40, evaluate_every=40, **changes)
-    train(config, make_parts(teachers=bool(config.algorithm.teachers)), tmp_path / "run")
+    config = config.changed(actions=40, evaluate_every=40, **changes)
+    learn(config, make_parts(teachers=bool(config.algorithm.teachers)), tmp_path / "run")
     assert len(lines(tmp_path / "run", "validation")) == 1
 
 
@@ -271,12 +270,12 @@ def test_teachers_are_handed_their_own_keys_and_chosen_while_the_actor_is_bad(wh
 
 
 def test_a_directory_with_a_run_is_not_overwritten(config, make_parts, tmp_path):
-    train(changed(config, actions=20), make_parts(), tmp_path)
+    learn(config.changed(actions=20), make_parts(), tmp_path)
     before = (tmp_path / "metrics.jsonl").read_bytes()
     with pytest.raises(MechSearchError, match="holds a run already"):
-        train(config, make_parts(), tmp_path)
+        learn(config, make_parts(), tmp_path)
     with pytest.raises(MechSearchError, match="seed was 0 and is 3"):
-        train(changed(config, seed=3), make_parts(), tmp_path, resume=True)
+        learn(config.changed(seed=3), make_parts(), tmp_path, resume=True)
     assert (tmp_path / "metrics.jsonl").read_bytes() == before
 
 
@@ -289,13 +288,13 @@ def test_an_environment_without_privileged_keys_is_refused(config, make_parts, r
 
 
 def test_a_damaged_checkpoint_is_named(config, make_parts, tmp_path):
-    train(changed(config, actions=60), make_parts(), tmp_path)
+    learn(config.changed(actions=60), make_parts(), tmp_path)
     path = tmp_path / "checkpoints" / last_checkpoint(tmp_path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     with pytest.raises(MechSearchError, match=path.name):
-        train(changed(config, actions=200), make_parts(), tmp_path, resume=True)
+        learn(config.changed(actions=200), make_parts(), tmp_path, resume=True)
 
 
 def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score):
@@ -308,10 +307,10 @@ def test_guided_learning_reaches_the_target(config, make_parts, tmp_path, score)
         def act(self, obs):
             return np.zeros(3, np.float32)
 
-    config = changed(
-        config, actions=300, evaluate_every=300, updates_per_action=1.0, checkpoint_every=1000
+    config = config.changed(
+        actions=300, evaluate_every=300, updates_per_action=1.0, checkpoint_every=1000
     )
-    scores = train(config, make_parts(), tmp_path)
+    scores = learn(config, make_parts(), tmp_path)
     still = score(Still())
     assert scores["reward"] > 0.6 * still["reward"]
     assert scores["uncovered_rate"] > still["uncovered_rate"] + 0.2

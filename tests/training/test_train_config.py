@@ -11,12 +11,11 @@ from mechsearch.env.heap_env import TaskConfig
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.training.config import PRESETS, load_config, run_config, save_config
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
-from tests.runs import changed
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_come_back_from_their_file(name, tmp_path):
-    config = changed(PRESETS[name], max_actions=33, reward=replace(TaskConfig().reward, movement=9))
+    config = PRESETS[name].changed(max_actions=33, reward=replace(TaskConfig().reward, movement=9))
     save_config(config, tmp_path / "config.json")
     assert load_config(tmp_path / "config.json") == config
     assert config.name == name
@@ -59,7 +58,7 @@ def test_ddpg_differs_in_guidance_critic_and_what_imitation_needs_alone():
 
 
 def test_pushes_are_learnt_under_any_camera():
-    assert changed(PRESETS["plus"], camera="tilted").task.camera == "tilted"
+    assert PRESETS["plus"].changed(camera="tilted").task.camera == "tilted"
 
 
 def test_only_the_no_pose_ablation_changes_what_the_actor_sees():
@@ -95,7 +94,7 @@ def test_no_actor_sees_privileged_keys():
 )
 def test_contradictions_are_refused(changes, message):
     with pytest.raises(MechSearchError, match=message):
-        changed(RunConfig("method", ActorCritic()), **changes)
+        RunConfig("method", ActorCritic()).changed(**changes)
 
 
 @pytest.mark.parametrize(

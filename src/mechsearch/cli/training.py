@@ -14,7 +14,7 @@ from mechsearch.evaluation.metrics import METRICS
 from mechsearch.files.layout import CONFIG_FILE
 from mechsearch.training.algorithms import ALGORITHMS
 from mechsearch.training.config import PRESETS, load_config, run_config
-from mechsearch.training.trial import TrialInputs, crossings, run_trial
+from mechsearch.training.run import RunInputs, crossings, train
 from mechsearch.types import MechSearchError
 
 _Flat = tyro.conf.arg(name="")
@@ -56,7 +56,7 @@ class Train(Command, Generic[A]):
             if len(words) < 2 or words[1].startswith("-"):
                 raise MechSearchError("--resume needs a run directory, such as runs/method")
             folder = Path(words[1])
-            config, inputs = load_config(folder / CONFIG_FILE), TrialInputs.of_run(folder)
+            config, inputs = load_config(folder / CONFIG_FILE), RunInputs.of_run(folder)
             default = cls._of(config, inputs.heaps, folder)
             default = replace(default, objects=inputs.objects, resume=True)
             return cls._parsed(default, program, words[2:])
@@ -85,9 +85,8 @@ class Train(Command, Generic[A]):
     def run(self) -> None:
         """Train, with a progress bar that shows the last evaluation."""
         config = RunConfig(self.name, self.algorithm, self.seed, self.task, self.schedule)
-        inputs = TrialInputs(self.heaps, self.objects)
         with bars() as progress:
-            scores = run_trial(config, inputs, self.out, self.resume, progress)
+            scores = train(config, self.heaps, self.out, self.objects, self.resume, progress)
         if scores:
             shown = [f"{name} {scores[name]:.3g}" for name in METRICS if name in scores]
             say(f"last evaluation: {', '.join(shown)}")

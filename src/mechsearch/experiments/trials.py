@@ -27,7 +27,7 @@ from mechsearch.files.layout import (
 )
 from mechsearch.training.config import load_config
 from mechsearch.training.policies import load_policy
-from mechsearch.training.trial import TrialInputs, run_trial
+from mechsearch.training.run import train
 from mechsearch.types import MechSearchError
 
 Grasp = Callable[[Evaluation], Evaluation]
@@ -142,9 +142,8 @@ class Training(Job):
 
     def carry_out(self) -> None:
         """Train, from the last checkpoint if there is one, and renew the table of curves."""
-        inputs = TrialInputs(self.heaps, self.plan.objects)
         resume = (self.directory / CONFIG_FILE).exists()
-        run_trial(self.config, inputs, self.directory, resume)
+        train(self.config, self.heaps, self.directory, self.plan.objects, resume)
         done = {
             "actor": _digest(self.directory / POLICY_FILE),
             "metrics": _digest(self.directory / METRICS_FILE),

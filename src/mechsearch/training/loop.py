@@ -11,7 +11,7 @@ from mechsearch.training.policies import trained
 from mechsearch.training.run_directory import RunDirectory
 
 
-def train(
+def learn(
     config: RunConfig[Any],
     setup: TrainingSetup,
     directory: Path,

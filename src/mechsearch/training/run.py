@@ -14,7 +14,8 @@ from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE
 from mechsearch.heaps.dataset import HeapSet, open_heaps
 from mechsearch.processes import Progress, silent
 from mechsearch.training.assemble import assemble
-from mechsearch.training.loop import train
+from mechsearch.training.config import run_config
+from mechsearch.training.loop import learn
 from mechsearch.types import MechSearchError
 
 _HISTORY = "fingerprints"
@@ -22,7 +23,7 @@ _PURPOSE = "record of a run's inputs"
 
 
 @dataclass(frozen=True)
-class TrialInputs:
+class RunInputs:
     """What a run is made from.
 
     Attributes:
@@ -34,7 +35,7 @@ class TrialInputs:
     objects: str = ""
 
     @classmethod
-    def of_run(cls, directory: Path) -> "TrialInputs":
+    def of_run(cls, directory: Path) -> "RunInputs":
         """Return what a run was made from.
 
         Raises:
@@ -44,37 +45,36 @@ class TrialInputs:
         return cls(directory / record["heaps"], record["objects"])
 
 
-def run_trial(
-    config: RunConfig[Any],
-    inputs: TrialInputs,
-    directory: Path,
+def train(
+    config: RunConfig[Any] | str,
+    heaps: str | Path,
+    out: str | Path,
+    objects: str = "",
     resume: bool = False,
     progress: Progress = silent,
+    **options: Any,
 ) -> dict[str, float]:
     """Train, and write the run directory; return the last evaluation.
 
     Args:
-        config: The run.
-        inputs: What it is made from.
-        directory: Where it is written.
+        config: The run, or the name of a variant or an algorithm, as `mechsearch train` takes it.
+        heaps: Heap set (.parquet); its training half is learnt on.
+        out: Run directory to write.
+        objects: Object set; empty takes the one that the heaps name.
         resume: Go on from the last checkpoint.
         progress: Told as the run goes on.
+        options: Of the run, by name, such as `actions=2000`, `seed=1` or `max_actions=30`.
 
     Raises:
         MechSearchError: If the inputs do not fit, the directory holds another run, or another
             process is at work in it.
     """
+    run = (run_config(config) if isinstance(config, str) else config).changed(**options)
+    directory, inputs = Path(out), RunInputs(Path(heaps), objects)
     with alone(directory / "run", f"the run {directory}"):
-        return _run_alone(config, inputs, directory, resume, progress)
-
-
-def _run_alone(
-    config: RunConfig[Any], inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
-) -> dict[str, float]:
-    heap_set, objects = open_heaps(inputs.heaps, inputs.objects)
-    _record(inputs, heap_set, directory, resume, fingerprint(config.schedule.threads))
-    setup = assemble(config, heap_set, objects)
-    return train(config, setup, directory, resume, progress)
+        heap_set, found = open_heaps(inputs.heaps, inputs.objects)
+        _record(inputs, heap_set, directory, resume, fingerprint(run.schedule.threads))
+        return learn(run, assemble(run, heap_set, found), directory, resume, progress)
 
 
 def _read(directory: Path) -> dict[str, Any]:
@@ -99,7 +99,7 @@ def _from(directory: Path, file: Path) -> str:
 
 
 def _record(
-    inputs: TrialInputs,
+    inputs: RunInputs,
     heap_set: HeapSet,
     directory: Path,
     resume: bool,

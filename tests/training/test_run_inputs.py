@@ -7,12 +7,12 @@ import pytest
 pytest.importorskip("torch")
 
 from mechsearch.heaps.dataset import load
-from mechsearch.training.trial import TrialInputs, _record
+from mechsearch.training.run import RunInputs, _record
 
 
 def recorded(heaps, run):
     run.mkdir(parents=True)
-    _record(TrialInputs(heaps, "household"), load(heaps), run, False, {})
+    _record(RunInputs(heaps, "household"), load(heaps), run, False, {})
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def test_a_folder_that_holds_run_and_heaps_can_be_moved(heaps, tmp_path, monkeyp
     recorded(Path("heaps/single.parquet"), Path("results/runs/method-0"))
     shutil.move(tmp_path / "here", tmp_path / "there")
     monkeypatch.chdir(tmp_path)
-    found = TrialInputs.of_run(tmp_path / "there/results/runs/method-0").heaps
+    found = RunInputs.of_run(tmp_path / "there/results/runs/method-0").heaps
     assert found.resolve() == tmp_path / "there" / "heaps" / "single.parquet"
     assert found.exists()
 
@@ -38,4 +38,4 @@ def test_heaps_from_elsewhere_are_found_wherever_the_run_goes(heaps, tmp_path, m
     monkeypatch.chdir(tmp_path / "work")
     recorded(heaps, Path("method-0"))
     shutil.move("method-0", tmp_path / "moved")
-    assert TrialInputs.of_run(tmp_path / "moved").heaps == heaps
+    assert RunInputs.of_run(tmp_path / "moved").heaps == heaps
