@@ -20,6 +20,7 @@ from mechsearch.experiments.journal import Journal
 from mechsearch.experiments.plan import QUICK, read_plan
 from mechsearch.files import records
 from mechsearch.files import tensors as weights
+from mechsearch.findings.runs import read_run
 from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
@@ -34,7 +35,6 @@ from mechsearch.push_values.policy import (
 from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.push_values.value import Ahead, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes import NUMBERS, PATCH
-from mechsearch.report.curves import read_run
 from mechsearch.train import checkpoint
 from mechsearch.train.checkpoint import RunDirectory
 from mechsearch.train.config import load_config

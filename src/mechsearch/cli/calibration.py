@@ -9,10 +9,10 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
 from mechsearch.evaluation import episodes
 from mechsearch.files import write_json, write_text
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.learning.calibrate import Calibration, TrialTask, calibrate, try_all
 from mechsearch.grasp.network import SHIPPED, load_network
-from mechsearch.report.reliability import draw_reliability
-from mechsearch.report.tables import Table, to_text
+from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.types import MechSearchError
 
 
@@ -73,7 +73,7 @@ class Calibrate(Command):
             wrote(self.out)
         if self.plot:
             curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
-            write_text(self.plot, draw_reliability(curves))
+            write_text(self.plot, to_svg(draw_reliability(curves)))
             wrote(self.plot)
 
     def _tasks(self, path: Path) -> list[TrialTask]:

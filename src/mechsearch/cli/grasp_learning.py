@@ -10,14 +10,14 @@ import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
 from mechsearch.files import write_json, write_text
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.learning.fit import NETWORK, FitConfig, fit, predict
 from mechsearch.grasp.learning.grasp_set import OUTCOMES, load_grasps
 from mechsearch.grasp.learning.label import LabelConfig, label
 from mechsearch.grasp.learning.metrics import Verdict, judge, paired_gain, reliability
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import load
-from mechsearch.report.reliability import draw_reliability
-from mechsearch.report.tables import Table, to_text
+from mechsearch.report.figures import draw_reliability, to_svg
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Test(Command):
             write_json(self.out, {"heaps": heaps, "networks": found, "gain_over": above})
             wrote(self.out)
         if self.plot:
-            write_text(self.plot, draw_reliability(curves))
+            write_text(self.plot, to_svg(draw_reliability(curves)))
             wrote(self.plot)
 
 

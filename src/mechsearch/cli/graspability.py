@@ -8,10 +8,10 @@ import numpy as np
 
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
 from mechsearch.evaluation.metrics import score
+from mechsearch.findings.tables import Table, cell
 from mechsearch.grasp.network import SHIPPED
 from mechsearch.grasp.standing import Standing, StandingTask, measure_all
 from mechsearch.processes import Progress
-from mechsearch.report.tables import Table, cell
 
 
 class Grasping:

@@ -10,6 +10,7 @@ from PIL import Image
 
 from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
 from mechsearch.files import write_whole
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.image_file import read_view
 from mechsearch.grasp.network import GraspNetwork, load_network
@@ -26,7 +27,6 @@ from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.report.tables import Table, to_text
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome
 from mechsearch.types import MechSearchError

@@ -18,9 +18,9 @@ from mechsearch.experiments.status import (
     SweepStatus,
     status_of,
 )
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.network import load_network
 from mechsearch.processes import map_in_order, map_long_work, silent
-from mechsearch.report.tables import Table, to_text
 
 
 @dataclass(frozen=True)

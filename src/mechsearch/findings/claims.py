@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mechsearch.report.answers import FAILS, HOLDS, UNDECIDED, UNMEASURED, Answer
-from mechsearch.report.experiment import TEACHER_PREFIX, Experiment
-from mechsearch.report.questions import (
+from mechsearch.findings.experiment import Experiment
+from mechsearch.findings.questions import (
     BEST_TEACHER,
+    FAILS,
     FLOOR,
+    HOLDS,
+    PAPER_TEACHERS,
+    UNDECIDED,
+    UNMEASURED,
+    Answer,
     Better,
     Harder,
     Level,
@@ -16,11 +21,10 @@ from mechsearch.report.questions import (
     Rises,
     ShareOfGap,
 )
-from mechsearch.report.tables import Table
-from mechsearch.teachers import make_teachers
+from mechsearch.findings.tables import Table
 
-CONDITIONS = ("single", "dual")
-FOUR_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
+PAPER_CONDITIONS = ("single", "dual")
+PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
 """What the paper's Figure 4 shows."""
 
 SMALL = 0.1
@@ -29,14 +33,8 @@ SMALL = 0.1
 CLOSE = {"single": 0.60, "dual": 0.45}
 """Share of the gap from which a policy without privileged information is close to the teachers."""
 
-NOTE = (
-    "Every row compares one number with a threshold. It holds if the whole 95 % interval lies on "
-    "the claimed side, does not hold if it lies on the other, and is undecided if it contains the "
-    "threshold. Intervals come from a bootstrap that draws training seeds and heaps, each by "
-    "itself, and is widened for small numbers of either; policies in one condition are paired heap "
-    "by heap. A claim holds if all its rows hold, and fails if one of them does. Idle and random "
-    "stand for the untrained policy."
-)
+
+_MARKS = {HOLDS: "better", FAILS: "worse"}
 
 
 @dataclass(frozen=True)
@@ -70,22 +68,18 @@ class Ruling:
         return combined([answer.verdict for answer in self.answers])
 
 
-def _teachers() -> list[str]:
-    return [f"{TEACHER_PREFIX}{name}" for name in make_teachers()]
-
-
-def _less_clutter(ours: str, conditions: Sequence[str] = CONDITIONS) -> tuple[Question, ...]:
+def _less_clutter(ours: str, conditions: Sequence[str] = PAPER_CONDITIONS) -> tuple[Question, ...]:
     return tuple(
         Better(condition, "clutter_moved_m", ours, teacher)
         for condition in conditions
-        for teacher in _teachers()
+        for teacher in PAPER_TEACHERS
     )
 
 
 def _essential(without: str) -> tuple[Question, ...]:
     return tuple(
         Better(condition, metric, "method", without)
-        for condition in CONDITIONS
+        for condition in PAPER_CONDITIONS
         for metric in ("reward", "visibility_change")
     )
 
@@ -93,26 +87,28 @@ def _essential(without: str) -> tuple[Question, ...]:
 PAPER = (
     Claim(
         "The method learns to improve all four metrics in both conditions.",
-        tuple(Better(c, metric, "method", FLOOR) for c in CONDITIONS for metric in FOUR_METRICS),
+        tuple(
+            Better(c, metric, "method", FLOOR) for c in PAPER_CONDITIONS for metric in PAPER_METRICS
+        ),
     ),
     Claim(
         "It comes close to the teachers without their privileged information: it closes at least "
         "60 % of the gap in reward in single heaps and 45 % in dual heaps.",
-        tuple(ShareOfGap(c, "reward", "method", CLOSE[c]) for c in CONDITIONS),
+        tuple(ShareOfGap(c, "reward", "method", CLOSE[c]) for c in PAPER_CONDITIONS),
     ),
     Claim(
         "DDPG does not improve any metric within the same actions: it closes less than a tenth of "
         "the gap.",
         tuple(
             ShareOfGap(c, metric, "ddpg", SMALL, above=False)
-            for c in CONDITIONS
-            for metric in FOUR_METRICS
+            for c in PAPER_CONDITIONS
+            for metric in PAPER_METRICS
         ),
     ),
     Claim("The method moves the clutter less than any teacher.", _less_clutter("method")),
     Claim(
         "Dual heaps are harder than single heaps.",
-        tuple(Harder(metric, "method") for metric in FOUR_METRICS),
+        tuple(Harder(metric, "method") for metric in PAPER_METRICS),
     ),
     Claim("The teachers are essential.", _essential("no-teachers")),
     Claim("The asymmetry of actor and critic is essential.", _essential("no-asymmetry")),
@@ -127,7 +123,7 @@ PAPER = (
     ),
     Claim(
         "Uncovering in fewer actions has a price: the quicker a policy, the more clutter it moves.",
-        tuple(QuickerMovesMore(c) for c in CONDITIONS),
+        tuple(QuickerMovesMore(c) for c in PAPER_CONDITIONS),
     ),
 )
 """What the paper says of its experiments."""
@@ -136,7 +132,9 @@ GOALS = (
     Claim(
         "The method improves on its own beginning within its first 4,000 actions.",
         tuple(
-            Rises(c, metric, "method", within=4000) for c in CONDITIONS for metric in FOUR_METRICS
+            Rises(c, metric, "method", within=4000)
+            for c in PAPER_CONDITIONS
+            for metric in PAPER_METRICS
         ),
     ),
     Claim(
@@ -177,8 +175,8 @@ def combined(verdicts: Sequence[str]) -> str:
     return HOLDS
 
 
-def overview(rulings: Sequence[Ruling]) -> tuple[Table, list[list[str]]]:
-    """Return one row for each claim, with the class name of each cell."""
+def overview_table(rulings: Sequence[Ruling]) -> Table:
+    """Return one row for each claim."""
     rows = []
     for ruling in rulings:
         verdicts = [answer.verdict for answer in ruling.answers]
@@ -188,19 +186,20 @@ def overview(rulings: Sequence[Ruling]) -> tuple[Table, list[list[str]]]:
             if kind in verdicts
         )
         rows.append((ruling.words, ruling.verdict, counts if len(verdicts) > 1 else "one row"))
-    marks = [[mark(ruling.verdict), ""] for ruling in rulings]
-    return Table("", ("claim", "verdict", "rows"), tuple(rows)), marks
+    marks = [[_MARKS.get(ruling.verdict, ""), ""] for ruling in rulings]
+    return Table("", ("claim", "verdict", "rows"), tuple(rows), marks, True, (64, 15, 24))
 
 
-def detail(ruling: Ruling) -> tuple[Table, list[list[str]]]:
-    """Return one row for each question of a claim, with the class name of each cell."""
-    rows = [(a.about, a.figures, a.verdict, a.test) for a in ruling.answers]
-    marks = [["", mark(a.verdict), ""] for a in ruling.answers]
+def answer_table(ruling: Ruling) -> Table:
+    """Return one row for each question of a claim."""
+    rows = tuple((a.about, a.figures, a.verdict, a.test) for a in ruling.answers)
+    marks = [["", _MARKS.get(a.verdict, ""), ""] for a in ruling.answers]
     caption = f"{ruling.words} {ruling.verdict.capitalize()}."
-    return Table(caption, ("what", "figures", "verdict", "test"), tuple(rows)), marks
+    columns = ("what", "figures", "verdict", "test")
+    return Table(caption, columns, rows, marks, True, (22, 44, 15, 27))
 
 
-def as_rows(rulings: Sequence[Ruling]) -> list[tuple[str, ...]]:
+def claim_rows(rulings: Sequence[Ruling]) -> list[tuple[str, ...]]:
     """Return every answer as text and plain numbers, for a CSV file; headings first."""
     rows: list[tuple[str, ...]] = [
         ("claim", "about", "verdict", "estimate", "ci_low", "ci_high", "figures", "test")
@@ -217,8 +216,3 @@ def as_rows(rulings: Sequence[Ruling]) -> list[tuple[str, ...]]:
                 (ruling.words, answer.about, answer.verdict, *numbers, answer.figures, answer.test)
             )
     return rows
-
-
-def mark(verdict: str) -> str:
-    """Return the class name that colours a verdict."""
-    return {HOLDS: "better", FAILS: "worse"}.get(verdict, "")

@@ -6,20 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.report.failure_modes import (
+from mechsearch.findings.failure_modes import (
     ASTRAY,
     BACK_AND_FORTH,
-    FAILED,
+    FAILED_SIMULATION,
     HOVERING,
     LOST,
-    MODES,
     STANDING,
     SUCCESS,
     UNFINISHED,
-    behaviour,
     definition,
     longest_run,
-    mode_table,
+    mode_of,
     reversal_share,
 )
 
@@ -60,44 +58,44 @@ def touched(record: EpisodeRecord, actions: range) -> EpisodeRecord:
 
 @pytest.mark.parametrize("period", [1, 2])
 def test_turning_round_again_and_again_without_touching_is_back_and_forth(period: int) -> None:
-    assert behaviour(still_episode(to_and_fro(period))).mode == BACK_AND_FORTH
+    assert mode_of(still_episode(to_and_fro(period))).mode == BACK_AND_FORTH
 
 
 def test_moving_about_without_touching_is_hovering() -> None:
-    found = behaviour(still_episode(circle()))
+    found = mode_of(still_episode(circle()))
     assert (found.mode, found.stretch) == (HOVERING, ACTIONS)
 
 
 def test_random_commands_are_not_back_and_forth() -> None:
     """They reverse now and then, in a quarter of the turns at most times."""
     rng = np.random.default_rng(0)
-    modes = [behaviour(still_episode(rng.uniform(-0.03, 0.03, (50, 3)))).mode for _ in range(200)]
+    modes = [mode_of(still_episode(rng.uniform(-0.03, 0.03, (50, 3)))).mode for _ in range(200)]
     assert modes.count(BACK_AND_FORTH) < 20
 
 
 def test_moving_about_far_from_the_target_is_astray() -> None:
     record = still_episode(circle())
     elsewhere = record.ee_positions + np.array([0.3, 0, 0])
-    assert behaviour(replace(record, ee_positions=elsewhere)).mode == ASTRAY
+    assert mode_of(replace(record, ee_positions=elsewhere)).mode == ASTRAY
 
 
 def test_an_end_effector_that_hardly_moves_stands_still() -> None:
-    assert behaviour(still_episode(0.1 * to_and_fro(1))).mode == STANDING
-    assert behaviour(still_episode(np.zeros((ACTIONS, 3)))).mode == STANDING
+    assert mode_of(still_episode(0.1 * to_and_fro(1))).mode == STANDING
+    assert mode_of(still_episode(np.zeros((ACTIONS, 3)))).mode == STANDING
 
 
 def test_a_success_is_a_success_however_it_moved() -> None:
-    assert behaviour(still_episode(to_and_fro(1), "uncovered")).mode == SUCCESS
+    assert mode_of(still_episode(to_and_fro(1), "uncovered")).mode == SUCCESS
 
 
 def test_lost_targets_and_failed_simulations_are_told_apart() -> None:
-    assert behaviour(still_episode(circle(), "lost")).mode == LOST
-    assert behaviour(still_episode(circle(), "failure: explosion")).mode == FAILED
+    assert mode_of(still_episode(circle(), "lost")).mode == LOST
+    assert mode_of(still_episode(circle(), "failure: explosion")).mode == FAILED_SIMULATION
 
 
 def test_twenty_still_actions_in_a_row_make_a_failure_mode_and_nineteen_do_not() -> None:
     record = still_episode(to_and_fro(1))
-    ending = [behaviour(touched(record, range(n, ACTIONS))) for n in (19, 20)]
+    ending = [mode_of(touched(record, range(n, ACTIONS))) for n in (19, 20)]
     assert [found.mode for found in ending] == [UNFINISHED, BACK_AND_FORTH]
     assert [found.stretch for found in ending] == [19, 20]
 
@@ -105,7 +103,7 @@ def test_twenty_still_actions_in_a_row_make_a_failure_mode_and_nineteen_do_not()
 def test_only_the_longest_still_stretch_is_judged() -> None:
     """It reverses while it pushes, and then circles in the air."""
     moves = np.vstack([to_and_fro(1)[:25], circle()[:25]])
-    assert behaviour(touched(still_episode(moves), range(25))).mode == HOVERING
+    assert mode_of(touched(still_episode(moves), range(25))).mode == HOVERING
 
 
 def test_movements_of_a_millimetre_do_not_count_and_larger_ones_do() -> None:
@@ -113,8 +111,8 @@ def test_movements_of_a_millimetre_do_not_count_and_larger_ones_do() -> None:
     poses = record.poses.copy()
     for action in range(ACTIONS):
         poses[action + 1 :, 2, 1] += 0.0009
-    assert behaviour(replace(record, poses=poses)).mode == HOVERING
-    assert behaviour(touched(record, range(ACTIONS))).mode == UNFINISHED
+    assert mode_of(replace(record, poses=poses)).mode == HOVERING
+    assert mode_of(touched(record, range(ACTIONS))).mode == UNFINISHED
 
 
 def test_a_turn_of_exactly_120_degrees_reverses() -> None:
@@ -131,16 +129,6 @@ def test_the_longest_run_is_all_true_and_none_is_longer(flags: list[bool]) -> No
     assert all(flags[start:end])
     words = "".join("x" if flag else " " for flag in flags).split()
     assert end - start == max(map(len, words), default=0)
-
-
-def test_the_table_counts_every_episode_once_with_wilson_s_interval() -> None:
-    """3 of 10: 30 %, Wilson 10.8 to 60.3 %."""
-    modes = [SUCCESS] * 3 + [HOVERING] * 7
-    (row,) = mode_table({"method": modes}, "").rows
-    shares = dict(zip(MODES, row[2:], strict=True))
-    assert row[:2] == ("method", "10")
-    assert shares[SUCCESS] == "30\n11 to 60"
-    assert sum(int(cell.split("\n")[0]) for cell in row[2:]) == 100
 
 
 def test_the_definition_names_every_threshold() -> None:

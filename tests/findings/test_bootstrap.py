@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mechsearch.report.bootstrap import (
-    interval,
-    mean_over_seeds_and_heaps,
+from mechsearch.findings.bootstrap import (
+    estimated,
+    percentile_interval,
     replicates,
     stretched,
 )
@@ -23,14 +23,14 @@ def coverage(
             + rest * rng.normal(size=(seeds, heaps))
         )
         means = replicates([values], rng, samples=800)[0]
-        found = interval(float(values.mean()), means, heaps)
+        found = percentile_interval(float(values.mean()), means, heaps)
         covered += found.ci_low <= 0 <= found.ci_high
     return covered / 400
 
 
 def test_with_one_seed_the_interval_is_nearly_student_s() -> None:
     values = np.random.default_rng(1).normal(3, 2, size=(1, 60))
-    found = mean_over_seeds_and_heaps(values)
+    found = estimated([values])
     half = stats.t.ppf(0.975, 59) * values.std(ddof=1) / np.sqrt(60)
     assert found.mean == pytest.approx(values.mean())
     assert found.ci_low == pytest.approx(values.mean() - half, abs=0.1 * half)
@@ -46,8 +46,8 @@ def test_effects_are_stretched_by_hand_computed_factors() -> None:
 def test_two_seeds_that_disagree_widen_the_interval_over_one() -> None:
     rng = np.random.default_rng(2)
     heap = rng.normal(size=(1, 100))
-    alike = mean_over_seeds_and_heaps(np.vstack([heap, heap]))
-    apart = mean_over_seeds_and_heaps(np.vstack([heap - 1, heap + 1]))
+    alike = estimated([np.vstack([heap, heap])])
+    apart = estimated([np.vstack([heap - 1, heap + 1])])
     assert apart.ci_high - apart.ci_low > 5 * (alike.ci_high - alike.ci_low)
 
 
@@ -81,12 +81,12 @@ def test_without_the_correction_five_seeds_would_be_covered_too_rarely() -> None
 
 def test_what_is_undefined_in_many_draws_has_no_interval() -> None:
     means = np.r_[np.full(50, np.nan), np.linspace(0, 1, 950)]
-    assert np.isnan(interval(0.5, means, 10).ci_low)
-    assert not np.isnan(interval(0.5, means[45:], 10).ci_low)
+    assert np.isnan(percentile_interval(0.5, means, 10).ci_low)
+    assert not np.isnan(percentile_interval(0.5, means[45:], 10).ci_low)
 
 
 def test_a_single_heap_has_no_interval() -> None:
-    assert np.isnan(mean_over_seeds_and_heaps(np.ones((3, 1))).ci_low)
+    assert np.isnan(estimated([np.ones((3, 1))]).ci_low)
 
 
 def test_other_heaps_and_empty_tables_are_refused() -> None:

@@ -5,30 +5,25 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation.metrics import Estimate
-from mechsearch.report.answers import (
-    FAILS,
-    HOLDS,
-    UNDECIDED,
-    UNMEASURED,
-    percent,
-    signed,
-    verdict,
-)
-from mechsearch.report.claims import (
+from mechsearch.findings.claims import (
     GOALS,
     PAPER,
     Claim,
     Ruling,
-    as_rows,
+    answer_table,
+    claim_rows,
     combined,
-    detail,
-    overview,
+    overview_table,
     rule,
 )
-from mechsearch.report.experiment import Experiment, read_experiment
-from mechsearch.report.questions import (
+from mechsearch.findings.experiment import Experiment, read_experiment
+from mechsearch.findings.questions import (
     BEST_TEACHER,
+    FAILS,
     FLOOR,
+    HOLDS,
+    UNDECIDED,
+    UNMEASURED,
     Better,
     Harder,
     Level,
@@ -36,8 +31,9 @@ from mechsearch.report.questions import (
     Rises,
     ShareOfGap,
     resolved,
+    verdict,
 )
-from mechsearch.report.tables import MINUS
+from mechsearch.findings.tables import MINUS, difference_text, percent
 
 WriteSweep = Callable[..., Path]
 
@@ -122,8 +118,8 @@ def test_a_difference_is_the_mean_over_heaps_and_seeds(experiment: Experiment) -
 def test_the_share_of_the_gap_is_as_computed_by_hand(experiment: Experiment) -> None:
     answer = ShareOfGap("single", "reward", "method", 0.6).ask(experiment)
     condition = experiment.conditions["single"]
-    floor = resolved(experiment, "single", "reward", FLOOR)
-    best = resolved(experiment, "single", "reward", BEST_TEACHER)
+    floor = resolved(experiment.condition("single"), "reward", FLOOR)
+    best = resolved(experiment.condition("single"), "reward", BEST_TEACHER)
     ours, low, high = (
         float(np.mean(values)) for values in condition.matrices(["method", floor, best], "reward")
     )
@@ -133,8 +129,8 @@ def test_the_share_of_the_gap_is_as_computed_by_hand(experiment: Experiment) -> 
 
 
 def test_the_best_teacher_closes_its_own_gap_and_the_floor_none(experiment: Experiment) -> None:
-    best = resolved(experiment, "single", "episode_actions", BEST_TEACHER)
-    floor = resolved(experiment, "single", "episode_actions", FLOOR)
+    best = resolved(experiment.condition("single"), "episode_actions", BEST_TEACHER)
+    floor = resolved(experiment.condition("single"), "episode_actions", FLOOR)
     for name, share in ((best, 1.0), (floor, 0.0)):
         answer = ShareOfGap("single", "episode_actions", name, 0.5).ask(experiment)
         assert answer.estimate is not None
@@ -225,7 +221,7 @@ def test_the_whole_interval_must_lie_on_one_side(
 def test_a_number_without_an_interval_is_shown_alone() -> None:
     alone = Estimate(0.25, float("nan"), float("nan"), 1)
     assert percent(alone) == "25%"
-    assert signed("reward", alone) == "+0.2"
+    assert difference_text("reward", alone) == "+0.2"
     assert percent(Estimate(-0.001, -0.3, 0.2, 9)) == f"0% ({MINUS}30% to 20%)"
 
 
@@ -239,12 +235,12 @@ def test_a_claim_holds_only_if_all_its_rows_do() -> None:
 def test_tables_have_a_row_for_each_claim_and_each_question(experiment: Experiment) -> None:
     claim = Claim("It is.", (Level("single", "uncovered_rate", "method", 0.1),) * 2)
     (ruling,) = rule((claim,), experiment)
-    table, marks = overview([ruling])
+    table = overview_table([ruling])
     assert table.rows == (("It is.", HOLDS, "2 holds"),)
-    assert marks == [["better", ""]]
-    table, marks = detail(ruling)
+    assert table.marks == [["better", ""]]
+    table = answer_table(ruling)
     assert table.caption == "It is. Holds."
-    assert len(table.rows) == len(marks) == 2
-    rows = as_rows([ruling])
+    assert len(table.rows) == len(table.marks) == 2
+    rows = claim_rows([ruling])
     assert len({len(row) for row in rows}) == 1
     assert float(rows[1][3]) == pytest.approx(ruling.answers[0].estimate.mean, rel=1e-5)

@@ -7,15 +7,13 @@ apart is whether the end effector keeps reversing. Random commands reverse in a 
 turns.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.evaluation.metrics import share_interval
-from mechsearch.report.tables import Table
 from mechsearch.types import Floats
 
 SUCCESS = "success"
@@ -25,8 +23,10 @@ ASTRAY = "astray"
 STANDING = "standing still"
 UNFINISHED = "unfinished"
 LOST = "target lost"
-FAILED = "failed simulation"
-MODES = (SUCCESS, BACK_AND_FORTH, HOVERING, ASTRAY, STANDING, UNFINISHED, LOST, FAILED)
+FAILED_SIMULATION = "failed simulation"
+EPISODE_MODES = (
+    *(SUCCESS, BACK_AND_FORTH, HOVERING, ASTRAY, STANDING, UNFINISHED, LOST, FAILED_SIMULATION),
+)
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,11 @@ class ModeConfig:
     standing: float = 0.25
 
 
-@dataclass(frozen=True)
-class Behaviour:
+class EpisodeMode(NamedTuple):
     """How one episode went.
 
     Attributes:
-        mode: One of `MODES`.
+        mode: One of `EPISODE_MODES`.
         stretch: Most actions in a row in which no object moved.
     """
 
@@ -81,26 +80,26 @@ def definition(config: ModeConfig = DEFAULT) -> str:
         f"commands do in a quarter); else “{HOVERING}” if it is mostly within "
         f"{config.near * 100:.0f} cm of the target, seen from above, and “{ASTRAY}” if not. The "
         f"remaining ones are “{UNFINISHED}” (it moved objects now and then), “{LOST}” or "
-        f"“{FAILED}”."
+        f"“{FAILED_SIMULATION}”."
     )
 
 
-def behaviour(record: EpisodeRecord, config: ModeConfig = DEFAULT) -> Behaviour:
+def mode_of(record: EpisodeRecord, config: ModeConfig = DEFAULT) -> EpisodeMode:
     """Return how an episode went."""
     first, last = longest_run(largest_movement(record) <= config.still)
     stretch = last - first
     if record.uncovered:
-        return Behaviour(SUCCESS, stretch)
+        return EpisodeMode(SUCCESS, stretch)
     if record.end == "lost":
-        return Behaviour(LOST, stretch)
+        return EpisodeMode(LOST, stretch)
     if record.end.startswith("failure"):
-        return Behaviour(FAILED, stretch)
+        return EpisodeMode(FAILED_SIMULATION, stretch)
     if stretch < config.stretch:
-        return Behaviour(UNFINISHED, stretch)
+        return EpisodeMode(UNFINISHED, stretch)
     path = record.ee_positions[first : last + 1]
     target = record.poses[first : last + 1, record.target, :2]
     distance = float(np.median(np.linalg.norm(path[:, :2] - target, axis=1)))
-    return Behaviour(_stuck(np.diff(path, axis=0), distance, config), stretch)
+    return EpisodeMode(_stuck(np.diff(path, axis=0), distance, config), stretch)
 
 
 def largest_movement(record: EpisodeRecord) -> Floats:
@@ -128,25 +127,6 @@ def reversal_share(moves: Floats, angle: float) -> float:
     cosines = (moves[1:] * moves[:-1]).sum(axis=1) / (lengths[1:] * lengths[:-1])
     # Rounding must not lose an exact reversal.
     return float((cosines <= np.cos(angle) + 1e-9).mean())
-
-
-def mode_table(modes: Mapping[str, Sequence[str]], caption: str) -> Table:
-    """Return the share of each mode [%] with Wilson intervals.
-
-    Args:
-        modes: Of all episodes of each policy.
-        caption: Of the table.
-    """
-    rows = []
-    for name, found in modes.items():
-        cells = []
-        for mode in MODES:
-            share = share_interval([float(one == mode) for one in found])
-            low, high = 100 * share.ci_low, 100 * share.ci_high
-            cells.append(f"{100 * share.mean:.0f}\n{low:.0f} to {high:.0f}")
-        rows.append((name, str(len(found)), *cells))
-    columns = ("policy", "episodes", *(f"{mode} [%]" for mode in MODES))
-    return Table(caption, columns, tuple(rows))
 
 
 def _stuck(steps: Floats, distance: float, config: ModeConfig) -> str:

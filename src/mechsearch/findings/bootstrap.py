@@ -11,7 +11,7 @@ correction that Hesterberg (2015) makes to the percentiles. With one seed the in
 only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import stats
@@ -60,26 +60,34 @@ def stretched(values: Floats) -> Floats:
     return result
 
 
-def interval(point: float, means: Floats, heaps: int) -> Estimate:
+def estimated(
+    matrices: Sequence[Floats], statistic: Callable[[Floats], Floats] = lambda means: means[0]
+) -> Estimate:
+    """Return a statistic of policies' means on the same heaps, with its 95 % interval.
+
+    Args:
+        matrices: Values (S_k, H) of each of K policies, by training seed and heap.
+        statistic: What is asked, (B,) of means (K, B); by default the mean of the first policy.
+    """
+    point = statistic(np.array([[values.mean()] for values in matrices]))[0]
+    drawn = statistic(replicates(matrices, np.random.default_rng(SEED)))
+    return percentile_interval(float(point), drawn, matrices[0].shape[1])
+
+
+def percentile_interval(point: float, draws: Floats, heaps: int) -> Estimate:
     """Return an estimate with its 95 % percentile interval.
 
     Args:
         point: The statistic of the data themselves.
-        means: The statistic of each draw (samples,).
+        draws: The statistic of each draw (samples,).
         heaps: Number of heaps; a single one gives no interval, and neither does a statistic that
             is not defined in more draws than the interval leaves out on one side.
     """
-    undefined = float(np.isnan(means).mean())
+    undefined = float(np.isnan(draws).mean())
     if heaps < 2 or not np.isfinite(point) or undefined > (1 - CONFIDENCE) / 2:
         return Estimate(point, float("nan"), float("nan"), heaps)
-    low, high = np.nanpercentile(means, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)])
+    low, high = np.nanpercentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)])
     return Estimate(point, float(low), float(high), heaps)
-
-
-def mean_over_seeds_and_heaps(values: Floats) -> Estimate:
-    """Return the mean of one policy's values (S, H) with its interval."""
-    means = replicates([values], np.random.default_rng(SEED))
-    return interval(float(values.mean()), means[0], values.shape[1])
 
 
 def _draws(number: int, rng: np.random.Generator, samples: int) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 
 from mechsearch.evaluation.episodes import load, save
 from mechsearch.evaluation.metrics import measure
-from mechsearch.report.experiment import is_experiment, ordered, read_experiment
+from mechsearch.findings.experiment import ordered, read_experiment
 from mechsearch.types import MechSearchError
 
 
@@ -17,13 +17,11 @@ def copied(sweep: Path, tmp_path: Path) -> Path:
 
 
 def test_a_sweep_is_read_by_condition_policy_and_seed(sweep: Path) -> None:
-    assert is_experiment(sweep)
     experiment = read_experiment(sweep)
     assert list(experiment.conditions) == ["single", "dual"]
     single = experiment.conditions["single"]
-    assert [trial.seed for trial in single.trials["method"]] == [0, 1, 2]
+    assert [one.seed for one in single.policies["method"]] == [0, 1, 2]
     assert single.teachers == ["teacher-spiral", "teacher-straight", "teacher-zigzag"]
-    assert single.passive == ["idle", "random"]
     assert single.counts == [5, 10, 15]
     assert [run.seed for run in single.runs["ddpg"]] == [0, 1, 2]
     assert experiment.missing == []
@@ -55,8 +53,8 @@ def test_of_two_lengths_of_training_the_longer_counts(copied: Path) -> None:
     whole = load(file)
     shorter = dict(whole.header) | {"training_actions": 500}
     save(file.with_name("method-seed0-500.npz"), type(whole)(shorter, whole.episodes))
-    trials = read_experiment(copied).conditions["single"].trials["method"]
-    assert [trial.actions for trial in trials] == [8000, 8000, 8000]
+    scored = read_experiment(copied).conditions["single"].policies["method"]
+    assert [one.actions for one in scored] == [8000, 8000, 8000]
 
 
 def test_what_was_planned_and_not_scored_is_named(copied: Path) -> None:

@@ -5,31 +5,45 @@ the question names, no if it lies on the other, and undecided if it holds the th
 are of the crossed bootstrap over training seeds and heaps (`bootstrap`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy import stats
 
-from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, mean_interval
-from mechsearch.report.answers import (
-    UNDECIDED,
-    UNMEASURED,
-    Answer,
-    percent,
-    seeds_of,
-    signed,
-    sizes,
-    verdict,
-)
-from mechsearch.report.bootstrap import SEED, interval, replicates
-from mechsearch.report.experiment import PASSIVE, Experiment
-from mechsearch.report.learning import curve, scored_on
-from mechsearch.report.tables import MINUS, display, number
+from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, Estimate, mean_interval
+from mechsearch.findings.bootstrap import SEED, estimated, percentile_interval, replicates
+from mechsearch.findings.experiment import PASSIVE, Condition, Experiment
+from mechsearch.findings.runs import learning_curve
+from mechsearch.findings.tables import MINUS, difference_text, display, number, percent
 from mechsearch.types import Floats
 
+HOLDS, FAILS, UNDECIDED, UNMEASURED = "holds", "does not hold", "undecided", "not measured"
 FLOOR, BEST_TEACHER = "the better of idle and random", "the best teacher"
 """Policies by what they are: which ones that is depends on the scores."""
+
+PAPER_TEACHERS = ("teacher-straight", "teacher-zigzag", "teacher-spiral")
+"""Those that claims speak of, whichever others there are."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was found.
+
+    Attributes:
+        about: Condition and metric.
+        figures: Means, difference and interval in words.
+        verdict: "holds", "does not hold", "undecided" or "not measured".
+        test: Number of heaps and seeds behind it.
+        estimate: The number that was compared with the threshold.
+    """
+
+    about: str
+    figures: str
+    verdict: str
+    test: str = ""
+    estimate: Estimate | None = None
 
 
 class Question(Protocol):
@@ -60,19 +74,15 @@ class Better:
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the mean paired difference, ours minus theirs."""
         about = f"{self.condition}, {display(self.metric).label}"
-        theirs = resolved(experiment, self.condition, self.metric, self.theirs)
-        if not theirs or not measured(experiment, self.condition, self.metric, self.ours, theirs):
+        condition = experiment.condition(self.condition)
+        names = [self.ours, resolved(condition, self.metric, self.theirs)]
+        if not condition.measured(self.metric, *names):
             return Answer(about, f"{self.ours} against {self.theirs}", UNMEASURED)
-        matrices = experiment.conditions[self.condition].matrices([self.ours, theirs], self.metric)
-        ours, others = (float(values.mean()) for values in matrices)
-        drawn = replicates(matrices, np.random.default_rng(SEED))
-        estimate = interval(ours - others, drawn[0] - drawn[1], matrices[0].shape[1])
+        means = [float(values.mean()) for values in condition.matrices(names, self.metric)]
+        estimate = difference(condition, self.metric, *names)
         above = HIGHER_IS_BETTER[self.metric] != self.worse
-        figures = (
-            f"{self.ours} {number(self.metric, ours)}, {theirs} {number(self.metric, others)}: "
-            f"{signed(self.metric, estimate)}"
-        )
-        test = f"paired difference, {sizes(matrices, [self.ours, theirs], experiment)}"
+        figures = f"{_means(self.metric, names, means)}: {difference_text(self.metric, estimate)}"
+        test = f"paired difference, {_sizes(condition, names, self.metric)}"
         return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
 
 
@@ -88,6 +98,7 @@ class ShareOfGap:
         above: Whether it should lie above that.
         lost_by: Ask for the share that this other policy loses against `ours` instead.
         from_nothing: Begin at 0 instead of the better of idle and random.
+        teachers: Among which is the best.
     """
 
     condition: str
@@ -97,37 +108,39 @@ class ShareOfGap:
     above: bool = True
     lost_by: str = ""
     from_nothing: bool = False
+    teachers: tuple[str, ...] = PAPER_TEACHERS
 
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by a ratio of differences of means."""
         about = f"{self.condition}, {display(self.metric).label}"
-        subject = self.lost_by or self.ours
-        found = [
-            resolved(experiment, self.condition, self.metric, role)
-            for role in (FLOOR, BEST_TEACHER)
-        ]
-        floor, best = found
-        names = [self.ours, floor, best] + ([self.lost_by] if self.lost_by else [])
-        if not floor or not best or not measured(experiment, self.condition, self.metric, *names):
+        condition = experiment.condition(self.condition)
+        names = self.names(condition)
+        if not condition.measured(self.metric, *names):
+            subject = self.lost_by or self.ours
             return Answer(about, f"{subject} against {BEST_TEACHER}", UNMEASURED)
-        matrices = experiment.conditions[self.condition].matrices(names, self.metric)
-        means = np.array([[values.mean()] for values in matrices])
-        point = float(self._share(means)[0])
-        drawn = self._share(replicates(matrices, np.random.default_rng(SEED)))
-        estimate = interval(point, drawn, matrices[0].shape[1])
-        shown = ", ".join(
-            f"{name} {number(self.metric, float(mean))}"
-            for name, mean in zip(names, means[:, 0], strict=True)
-            if not (self.from_nothing and name == floor)
-        )
-        if np.isnan(point):
-            return Answer(about, f"{shown}: {best} is no better, there is no gap", UNDECIDED)
+        means = [float(values.mean()) for values in condition.matrices(names, self.metric)]
+        estimate = self.share(condition)
+        kept = [i for i in range(len(names)) if not (self.from_nothing and i == 1)]
+        shown = _means(self.metric, [names[i] for i in kept], [means[i] for i in kept])
+        if np.isnan(estimate.mean):
+            return Answer(about, f"{shown}: {names[2]} is no better, there is no gap", UNDECIDED)
         figures = f"{shown}: {percent(estimate)} of the {'change' if self.from_nothing else 'gap'}"
         if self.lost_by:
             figures += " lost"
         side = "more" if self.above else "less"
-        test = f"{side} than {self.least:.0%}; {sizes(matrices, names, experiment)}"
+        test = f"{side} than {self.least:.0%}; {_sizes(condition, names, self.metric)}"
         return Answer(about, figures, verdict(estimate, self.least, self.above), test, estimate)
+
+    def names(self, condition: Condition) -> list[str]:
+        """Return ours, the floor, the best teacher, and the one that loses; "" for one missing."""
+        floor, best = (
+            resolved(condition, self.metric, role, self.teachers) for role in (FLOOR, BEST_TEACHER)
+        )
+        return [self.ours, floor, best, *([self.lost_by] if self.lost_by else [])]
+
+    def share(self, condition: Condition) -> Estimate:
+        """Return the share itself; NaN where there is no gap."""
+        return estimated(condition.matrices(self.names(condition), self.metric), self._share)
 
     def _share(self, means: Floats) -> Floats:
         """Return the share of each draw (B,) from means (3 or 4, B); NaN where there is no gap."""
@@ -159,23 +172,20 @@ class Harder:
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the difference of means, the harder condition's minus the easier one's."""
         about = f"{self.harder} against {self.easier}, {display(self.metric).label}"
-        both = (self.harder, self.easier)
-        if not all(measured(experiment, name, self.metric, self.ours) for name in both):
+        both = [experiment.condition(name) for name in (self.harder, self.easier)]
+        if not all(condition.measured(self.metric, self.ours) for condition in both):
             return Answer(about, f"{self.ours} in both", UNMEASURED)
         rng = np.random.default_rng(SEED)
-        values = [
-            experiment.conditions[name].matrices([self.ours], self.metric)[0] for name in both
-        ]
-        harder, easier = (float(one.mean()) for one in values)
+        values = [condition.matrices([self.ours], self.metric)[0] for condition in both]
+        means = [float(one.mean()) for one in values]
         drawn = [replicates([one], rng)[0] for one in values]
         least = min(one.shape[1] for one in values)
-        estimate = interval(harder - easier, drawn[0] - drawn[1], least)
-        figures = (
-            f"{self.harder} {number(self.metric, harder)}, {self.easier} "
-            f"{number(self.metric, easier)}: {signed(self.metric, estimate)}"
-        )
+        estimate = percentile_interval(means[0] - means[1], drawn[0] - drawn[1], least)
+        shown = _means(self.metric, (self.harder, self.easier), means)
         heaps = " and ".join(str(one.shape[1]) for one in values)
-        test = f"unpaired difference, {heaps} heaps, {seeds_of(values, [self.ours, self.ours])}"
+        seeds = _seeds([(self.ours, len(one)) for one in values])
+        test = f"unpaired difference, {heaps} heaps, {seeds}"
+        figures = f"{shown}: {difference_text(self.metric, estimate)}"
         above = not HIGHER_IS_BETTER[self.metric]
         return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
 
@@ -199,15 +209,14 @@ class Level:
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the mean."""
         about = f"{self.condition}, {display(self.metric).label}"
-        if not measured(experiment, self.condition, self.metric, self.ours):
+        condition = experiment.condition(self.condition)
+        if not condition.measured(self.metric, self.ours):
             return Answer(about, self.ours, UNMEASURED)
-        matrices = experiment.conditions[self.condition].matrices([self.ours], self.metric)
-        drawn = replicates(matrices, np.random.default_rng(SEED))[0]
-        estimate = interval(float(matrices[0].mean()), drawn, matrices[0].shape[1])
+        estimate = estimated(condition.matrices([self.ours], self.metric))
         low, high = (number(self.metric, end) for end in (estimate.ci_low, estimate.ci_high))
         figures = f"{self.ours} {number(self.metric, estimate.mean)} ({low} to {high})"
         least = number(self.metric, self.least)
-        test = f"more than {least}; {sizes(matrices, [self.ours], experiment)}"
+        test = f"more than {least}; {_sizes(condition, [self.ours], self.metric)}"
         return Answer(about, figures, verdict(estimate, self.least, True), test, estimate)
 
 
@@ -230,9 +239,8 @@ class Rises:
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the later point minus the untrained one, with Student's t over the seeds."""
         about = f"{self.condition}, {display(self.metric).label}"
-        found = experiment.conditions.get(self.condition)
-        runs = found.runs.get(self.ours, ()) if found else ()
-        drawn = curve(runs, self.metric, scored_on(experiment))
+        runs = experiment.condition(self.condition).runs.get(self.ours, ())
+        drawn = learning_curve(runs, self.metric, experiment.scored_on)
         place = int((drawn.steps <= self.within).sum()) - 1 if drawn else 0
         if drawn is None or drawn.steps[0] > 0 or place < 1:
             return Answer(about, f"the curve of {self.ours} from its beginning", UNMEASURED)
@@ -241,7 +249,7 @@ class Rises:
         figures = (
             f"{number(self.metric, float(first.mean()))} untrained, "
             f"{number(self.metric, float(last.mean()))} after {step:,.0f} actions: "
-            f"{signed(self.metric, estimate)}"
+            f"{difference_text(self.metric, estimate)}"
         )
         test = f"Student's t over {len(first)} seeds"
         if len(first) == 1:
@@ -252,7 +260,9 @@ class Rises:
 
 @dataclass(frozen=True)
 class QuickerMovesMore:
-    """Do policies that need fewer actions move the clutter more? Idle and random are left out.
+    """Do policies that need fewer actions move the clutter more?
+
+    Idle and random are left out, and so are other teachers than the paper's.
 
     Attributes:
         condition: Of the heaps.
@@ -263,9 +273,10 @@ class QuickerMovesMore:
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by Spearman's rank correlation over the policies' means; below 0 is yes."""
         about = f"{self.condition}, actions and clutter moved"
-        condition = experiment.conditions.get(self.condition)
-        names = [name for name in condition.trials if name not in PASSIVE] if condition else []
-        if condition is None or len(names) < 4:
+        condition = experiment.condition(self.condition)
+        others = {*PASSIVE, *condition.teachers} - {*PAPER_TEACHERS}
+        names = [name for name in condition.policies if name not in others]
+        if len(names) < 4:
             return Answer(about, "fewer than four policies that act", UNMEASURED)
         # The same generator draws the same seeds and heaps for both metrics.
         drawn, points = [], []
@@ -273,7 +284,7 @@ class QuickerMovesMore:
             matrices = condition.matrices(names, metric)
             points.append(np.array([values.mean() for values in matrices]))
             drawn.append(replicates(matrices, np.random.default_rng(SEED)))
-        estimate = interval(
+        estimate = percentile_interval(
             _rank_correlation(*(point[:, None] for point in points))[0],
             _rank_correlation(*drawn),
             matrices[0].shape[1],
@@ -282,30 +293,61 @@ class QuickerMovesMore:
             f"rank correlation of {len(names)} policies {estimate.mean:.2f} "
             f"({estimate.ci_low:.2f} to {estimate.ci_high:.2f})"
         ).replace("-", MINUS)
-        test = f"below 0; {sizes(matrices, names, experiment)}"
+        test = f"below 0; {_sizes(condition, names, metric)}"
         return Answer(about, figures, verdict(estimate, 0, False), test, estimate)
 
 
-def resolved(experiment: Experiment, condition: str, metric: str, name: str) -> str:
+def verdict(estimate: Estimate, threshold: float, above: bool) -> str:
+    """Return whether an estimate lies above (or below) a threshold with its whole interval."""
+    if estimate.ci_low > threshold:
+        return HOLDS if above else FAILS
+    if estimate.ci_high < threshold:
+        return FAILS if above else HOLDS
+    return UNDECIDED
+
+
+def difference(condition: Condition, metric: str, ours: str, theirs: str) -> Estimate:
+    """Return the mean of ours minus theirs, on the heaps that both ran on."""
+    matrices = condition.matrices([ours, theirs], metric)
+    return estimated(matrices, lambda means: means[0] - means[1])
+
+
+def resolved(
+    condition: Condition, metric: str, name: str, teachers: Sequence[str] = PAPER_TEACHERS
+) -> str:
     """Return which policy a role means by the mean of a metric; "" if there is none."""
     if name not in (FLOOR, BEST_TEACHER):
         return name
-    found = experiment.conditions.get(condition)
-    if found is None:
-        return ""
-    names = found.passive if name == FLOOR else found.teachers
-    names = [one for one in names if found.measured(one, metric)]
+    among = PASSIVE if name == FLOOR else teachers
+    names = [one for one in condition.policies if one in among and condition.measured(metric, one)]
     if not names:
         return ""
-    means = [float(values.mean()) for values in found.matrices(names, metric)]
+    means = [float(values.mean()) for values in condition.matrices(names, metric)]
     best = int(np.argmax(means) if HIGHER_IS_BETTER[metric] else np.argmin(means))
     return names[best]
 
 
-def measured(experiment: Experiment, condition: str, metric: str, *names: str) -> bool:
-    """Return whether all the policies have values of a metric in a condition."""
-    found = experiment.conditions.get(condition)
-    return found is not None and all(found.measured(name, metric) for name in names)
+def _means(metric: str, names: Sequence[str], means: Sequence[float]) -> str:
+    return ", ".join(f"{n} {number(metric, mean)}" for n, mean in zip(names, means, strict=True))
+
+
+def _sizes(condition: Condition, names: Sequence[str], metric: str) -> str:
+    """Return how many heaps and training seeds stand behind a number."""
+    matrices = dict(zip(names, condition.matrices(names, metric), strict=True))
+    seeds = [(name, len(matrices[name])) for name in names if name in condition.learnt]
+    heaps = f"{matrices[names[0]].shape[1]} heaps"
+    return f"{heaps}, {_seeds(seeds)}" if seeds else heaps
+
+
+def _seeds(numbers: Sequence[tuple[str, int]]) -> str:
+    """Return how many training seeds each policy has, and what an interval of one covers."""
+    counts = {count for _, count in numbers}
+    if counts == {1}:
+        return "1 seed: the interval covers heaps only"
+    if len(counts) == 1:
+        return f"{counts.pop()} seeds"
+    text = f"seeds: {', '.join(f'{name} {count}' for name, count in numbers)}"
+    return text + "; of one seed, heaps only" if 1 in counts else text
 
 
 def _rank_correlation(left: Floats, right: Floats) -> Floats:

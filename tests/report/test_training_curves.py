@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.report import curves
-from mechsearch.report.tables import scores_of
+from mechsearch.findings.experiment import Condition, Experiment
+from mechsearch.findings.runs import Run, read_run
+from mechsearch.report import learning
+from mechsearch.report.figures import to_svg
 from mechsearch.types import MechSearchError
 
 
@@ -38,7 +40,7 @@ def run_directory(tmp_path: Path) -> Path:
 
 
 def test_a_log_is_read_by_kind_without_its_torn_last_line(run_directory: Path) -> None:
-    run = curves.read_run(run_directory)
+    run = read_run(run_directory)
     assert (run.name, run.seed) == ("method", 4)
     steps, values = run.series("validation", "clutter_moved_m")
     np.testing.assert_array_equal(steps, [100, 200, 300])
@@ -47,23 +49,26 @@ def test_a_log_is_read_by_kind_without_its_torn_last_line(run_directory: Path) -
     assert "end" not in run.keys("validation")
 
 
-def test_curves_are_drawn_as_svg_the_same_each_time(run_directory: Path, evaluations) -> None:
-    run = curves.read_run(run_directory)
-    drawn = curves.draw_evaluations([run], scores_of(evaluations))
-    assert drawn is not None
-    assert drawn == curves.draw_evaluations([run], scores_of(evaluations))
-    assert ElementTree.fromstring(drawn).tag.endswith("svg")
-    assert curves.draw_training(run) is not None
+def test_curves_are_drawn_as_svg_the_same_each_time(run_directory: Path) -> None:
+    run = read_run(run_directory)
+    experiment = Experiment(None, {"single": Condition("single", {}, {"method": (run,)})})
+    drawn = [
+        to_svg(learning.draw_curves(experiment, learning.RUN_METRICS, ["method"], 2.5))
+        for _ in range(2)
+    ]
+    assert drawn[0] == drawn[1]
+    assert ElementTree.fromstring(drawn[0]).tag.endswith("svg")
+    assert experiment.scored_on == "validation"
+    assert learning.draw_training(run) is not None
 
 
 def test_a_run_that_logged_nothing_has_no_curves(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
-    run = curves.read_run(tmp_path)
-    assert curves.draw_evaluations([run]) is None
-    assert curves.draw_training(run) is None
+    run = read_run(tmp_path)
+    assert learning.draw_training(run) is None
 
 
-def push_run(folder: Path, fits: int) -> curves.Run:
+def push_run(folder: Path, fits: int) -> Run:
     (folder / "config.json").write_text('{"name": "plus"}')
     lines: list[dict[str, object]] = [
         {"step": 20, "kind": "episode", "executed": done, "return": -done, "pushes": 3}
@@ -72,16 +77,15 @@ def push_run(folder: Path, fits: int) -> curves.Run:
     found = {"loss": 0.5, "pushes": 60, "at_once": -6.0, "by_occlusion": 5.0, "executed": 21}
     lines += [{"step": 20, "kind": "fit", **found, "simulated": 250}] * fits
     (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    return curves.read_run(folder)
+    return read_run(folder)
 
 
 def test_pushes_are_drawn_over_what_was_executed_and_fits_beside_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    drawn = []
-    monkeypatch.setattr(curves, "to_svg", drawn.append)
-    curves.draw_training(push_run(tmp_path, fits=1))
-    panels = {ax.get_title(loc="left"): ax.lines for ax in drawn[0].axes}
+    figure = learning.draw_training(push_run(tmp_path, fits=1))
+    assert figure is not None
+    panels = {ax.get_title(loc="left"): ax.lines for ax in figure.axes}
     assert len(panels) == 6
     (returns,) = panels["return of each episode"]
     np.testing.assert_array_equal(returns.get_xdata(), [8, 21])
@@ -91,27 +95,27 @@ def test_pushes_are_drawn_over_what_was_executed_and_fits_beside_them(
 
 
 def test_pushes_are_drawn_before_the_first_fit_too(tmp_path: Path) -> None:
-    assert curves.draw_training(push_run(tmp_path, fits=0)) is not None
+    assert learning.draw_training(push_run(tmp_path, fits=0)) is not None
 
 
 def test_a_folder_without_a_run_and_a_damaged_log_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no training configuration at"):
-        curves.read_run(tmp_path)
+        read_run(tmp_path)
     (tmp_path / "config.json").write_text("{}")
     (tmp_path / "metrics.jsonl").write_text("not json\n")
     with pytest.raises(MechSearchError, match=r"line 1 of .*metrics.jsonl is damaged"):
-        curves.read_run(tmp_path)
+        read_run(tmp_path)
 
 
 def test_a_running_mean_looks_back_only() -> None:
-    means = curves.running_mean(np.array([1.0, 3.0, 5.0, 7.0]), 2)
+    means = learning.running_mean(np.array([1.0, 3.0, 5.0, 7.0]), 2)
     np.testing.assert_allclose(means, [1, 2, 4, 6])
 
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=6).map(sorted))
 def test_labels_keep_their_order_and_their_distance(heights: list[float]) -> None:
-    placed = curves.spaced(heights, 0.1)
+    placed = learning.spaced(heights, 0.1)
     assert (np.diff(placed) > 0.1 - 1e-9).all()
     assert sum(placed) == pytest.approx(sum(heights), abs=1e-6)
     if len(heights) > 1 and np.diff(heights).min() >= 0.1:

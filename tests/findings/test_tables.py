@@ -1,8 +1,12 @@
 import pytest
 
-from mechsearch.evaluation.metrics import METRICS, Estimate
-from mechsearch.report import tables
-from mechsearch.report.tables import MINUS, Table
+from mechsearch.evaluation.metrics import METRICS, Estimate, score, score_by_count
+from mechsearch.findings import tables
+from mechsearch.findings.tables import MINUS, Table
+
+
+def scores_of(evaluations):
+    return {name: score(evaluation.episodes) for name, evaluation in evaluations.items()}
 
 
 def test_numbers_are_shown_in_their_unit_with_a_true_minus() -> None:
@@ -26,14 +30,14 @@ def test_a_cell_holds_mean_and_interval() -> None:
 
 
 def test_every_policy_and_metric_is_in_the_table(evaluations) -> None:
-    table = tables.score_table(tables.scores_of(evaluations))
+    table = tables.score_table(scores_of(evaluations))
     assert [row[0] for row in table.rows] == list(evaluations)
     assert len(table.columns) == len(METRICS) + 1
     assert all(len(row) == len(table.columns) for row in table.rows)
 
 
 def test_retrieval_has_columns_where_it_was_measured(evaluations) -> None:
-    scores = tables.scores_of(evaluations)
+    scores = scores_of(evaluations)
     first = next(iter(scores))
     scores[first] = {**scores[first], "retrieval_after": Estimate(0.25, 0.1, 0.4, 40)}
     table = tables.score_table(scores)
@@ -42,9 +46,11 @@ def test_retrieval_has_columns_where_it_was_measured(evaluations) -> None:
 
 
 def test_object_counts_and_reward_terms_have_columns(evaluations) -> None:
-    by_count = tables.count_table(evaluations, "reward")
+    by_count = tables.count_table(
+        {name: score_by_count(e.episodes) for name, e in evaluations.items()}, "reward"
+    )
     assert by_count.columns == ("policy", "5 objects", "10 objects", "15 objects")
-    terms = tables.terms_table(tables.scores_of(evaluations))
+    terms = tables.terms_table(scores_of(evaluations))
     assert terms.columns == ("policy", "visibility", "idleness", "reward")
 
 
@@ -58,17 +64,3 @@ def test_text_columns_line_up() -> None:
         "a       1 (0 to 2)",
         "longer  2",
     ]
-
-
-def test_markdown_has_a_rule_below_the_headings() -> None:
-    table = Table("Scores", ("policy", "reward"), (("a", "1\n0 to 2"),))
-    expected = "| policy | reward |\n| --- | --- |\n| a | 1 (0 to 2) |\n"
-    assert tables.to_markdown(table) == expected
-
-
-def test_html_is_escaped_and_names_rows_and_columns() -> None:
-    text = tables.to_html(Table("<b>", ("p", "x"), (("<script>", "1\n0 to 2"),)), [["better"]])
-    assert "<script>" not in text
-    assert "<b>" not in text
-    assert '<th scope="row">&lt;script&gt;</th>' in text
-    assert "<td class='better'>1<small>0 to 2</small></td>" in text
