@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import yaw_quaternion
-from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.retrieval import LiftTask, lift_all, lift_grasps, on_table
 from mechsearch.objects.catalog import load_object_set
+from mechsearch.pictures.lift import lift_strip
 from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome
 from mechsearch.types import MechSearchError
 

@@ -3,16 +3,15 @@ import pytest
 from PIL import Image
 
 from mechsearch.camera import preset
+from mechsearch.pictures.canvas import tinted
 from mechsearch.pictures.filmstrip import (
     PATH_COLOUR,
     Film,
     FilmConfig,
     draw_path,
     filmstrip,
-    side_by_side,
-    spread,
+    frame_steps,
     start_and_end,
-    tinted,
 )
 from mechsearch.types import MechSearchError
 
@@ -77,7 +76,7 @@ def test_an_invisible_target_leaves_nothing_green() -> None:
     [(8, 5, [0, 2, 4, 6, 8]), (1, 5, [0, 1]), (0, 2, [0]), (50, 3, [0, 25, 50])],
 )
 def test_frames_are_spread_evenly_from_start_to_end(last, frames, steps) -> None:
-    assert spread(last, frames) == steps
+    assert frame_steps(last, frames) == steps
 
 
 def test_a_filmstrip_has_as_many_frames_as_asked_for(film: Film) -> None:
@@ -106,8 +105,3 @@ def test_another_object_set_is_refused(models, make_evaluation) -> None:
     fewer = {name: model for name, model in models.items() if name != "lid"}
     with pytest.raises(MechSearchError, match="lacks: lid"):
         Film(record, fewer, FilmConfig())
-
-
-def test_pictures_stand_in_a_row() -> None:
-    images = [Image.new("RGB", (10, 20)), Image.new("RGB", (30, 5))]
-    assert side_by_side(images, gap=4).size == (44, 20)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -15,20 +16,21 @@ def test_scores_are_drawn_the_same_each_time(evaluations) -> None:
     assert ElementTree.fromstring(drawn).tag.endswith("svg")
 
 
+def rows_of(evaluations, **facts: object) -> list[summary.SummaryRow]:
+    method = evaluations["method"]
+    return summary.rows_of("main", replace(method, header={**method.header, **facts}))
+
+
 def test_a_summary_has_one_dot_for_every_seed_and_metric(evaluations) -> None:
-    scores = score(evaluations["method"].episodes)
-    one = summary.rows("main", "single", "method", 0, 3000, scores)
-    two = summary.rows("main", "single", "method", 1, 3000, scores)
-    assert to_svg(draw_summary(one + two)).count("<use ") - to_svg(draw_summary(one)).count(
-        "<use "
-    ) == len(one)
+    one, two = (rows_of(evaluations, training_seed=seed) for seed in range(2))
+    dots = [to_svg(draw_summary(rows)).count("<use ") for rows in (one, one + two)]
+    assert dots[1] - dots[0] == len(one)
 
 
 def test_conditions_and_lengths_of_training_are_told_apart(evaluations) -> None:
-    scores = score(evaluations["method"].episodes)
-    rows = summary.rows("main", "single", "method", 0, 3000, scores)
-    rows += summary.rows("main", "dual", "method", 0, 3000, scores)
-    rows += summary.rows("main", "dual", "method", 0, 8000, scores)
+    rows = rows_of(evaluations)
+    rows += rows_of(evaluations, condition="dual")
+    rows += rows_of(evaluations, condition="dual", training_actions=8000)
     drawn = to_svg(draw_summary(rows))
     for label in ("single, method, 3,000", "dual, method, 3,000", "dual, method, 8,000"):
         assert f"<!-- {label} -->" in drawn

@@ -11,10 +11,8 @@ from PIL import Image
 from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.image_file import read_view
 from mechsearch.grasp.network import GraspNetwork, load_network
-from mechsearch.grasp.picture import draw_grasps, grid, stacked
 from mechsearch.grasp.policy import rate
 from mechsearch.grasp.quality import BEST, Graspability, ceiling, graspability
 from mechsearch.grasp.retrieval import Lifted, LiftTask, lift_all
@@ -27,6 +25,9 @@ from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.canvas import tiled
+from mechsearch.pictures.grasps import draw_grasps
+from mechsearch.pictures.lift import lift_strip
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome
 from mechsearch.types import MechSearchError
@@ -76,7 +77,7 @@ class Score(Command):
             assert self.heaps is not None
             pictures = self._score_heaps(network, self.heaps)
         if self.out:
-            write_whole(self.out, grid(pictures).save)
+            write_whole(self.out, tiled(pictures, 4, margin=3).save)
             wrote(self.out)
 
     def _score_image(self, network: GraspNetwork, view: GraspView) -> Image.Image:
@@ -180,7 +181,7 @@ class Lift(Command):
             ]
             if not strips:
                 raise MechSearchError("no target is visible in these heaps: there is no film")
-            write_whole(self.out, stacked(strips).save)
+            write_whole(self.out, tiled(strips, 1, gap=0).save)
             wrote(self.out)
 
     def _task(self, spec: str, heap: Heap, now: Graspability) -> LiftTask:

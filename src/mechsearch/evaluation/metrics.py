@@ -31,17 +31,8 @@ GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
 SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after")
 """Scores that are 1 or 0 in one episode."""
 
-HIGHER_IS_BETTER = {
-    "reward": True,
-    "visibility_change": True,
-    "uncovered_rate": True,
-    "episode_actions": False,
-    "clutter_moved_m": False,
-    "target_moved_m": False,
-    "graspability_change": True,
-    "retrieval_before": True,
-    "retrieval_after": True,
-}
+_LOWER_IS_BETTER = ("episode_actions", "clutter_moved_m", "target_moved_m")
+HIGHER_IS_BETTER = {name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS)}
 
 RETRIEVED = "success"
 CONFIDENCE = 0.95

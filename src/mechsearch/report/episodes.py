@@ -11,7 +11,8 @@ from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
 from mechsearch.findings.tables import number
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, side_by_side, start_and_end
+from mechsearch.pictures.canvas import tiled
+from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.report.document import Picture
 
 SHOWN_MODES = (SUCCESS, BACK_AND_FORTH, HOVERING)
@@ -89,7 +90,7 @@ def ranked_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> 
         )
         if pairs:
             alt = f"Start and end of {len(pairs)} episodes. {name}: {caption}"
-            yield Picture(_encoded(side_by_side(pairs, 18)), alt, f"{name}, {caption}.")
+            yield Picture(_encoded(tiled(pairs, len(pairs), gap=18)), alt, f"{name}, {caption}.")
 
 
 def ranking_text(condition: Condition) -> str:

@@ -71,7 +71,7 @@ def draw_training(run: Run) -> Figure | None:
         return None
     diagrams = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
     with style():
-        figure, axes = panels(len(diagrams), 2, PRINTED_WIDTH / 2, 2.2)
+        figure, axes = panels(len(diagrams), 2, 4.8, 2.6)
         for ax, diagram in zip(axes, diagrams, strict=True):
             _draw_diagram(ax, run, diagram)
     return figure

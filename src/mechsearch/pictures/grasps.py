@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from mechsearch.grasp.candidates import ImageGrasp
 from mechsearch.grasp.view import GraspView
+from mechsearch.pictures.canvas import captioned, tinted
+from mechsearch.types import Floats
 
-_TARGET = np.array([40.0, 215.0, 70.0])
 _LOW, _HIGH = np.array([214.0, 60.0, 45.0]), np.array([28.0, 98.0, 235.0])
 
 
@@ -47,34 +48,7 @@ def draw_grasps(
         half_width = view.camera.fx * opening / grasp.depth / 2 * scale
         middle = np.array([grasp.column + 0.5 - left, grasp.row + 0.5 - top]) * scale
         _draw_jaws(pen, middle, grasp.axis, half_width, colour, 4 if i == 0 else 1)
-    line = max(12, size // 28)
-    sheet = Image.new("RGB", (size, size + 2 * line), "white")
-    sheet.paste(picture, (0, 0))
-    font = ImageFont.load_default(line)
-    ImageDraw.Draw(sheet).text((4, size + line // 3), caption, "#20242c", font)
-    return sheet
-
-
-def grid(pictures: Sequence[Image.Image], columns: int = 4) -> Image.Image:
-    """Return pictures of one size in rows."""
-    columns = min(columns, len(pictures))
-    width, height = pictures[0].size
-    rows = -(-len(pictures) // columns)
-    sheet = Image.new("RGB", (columns * (width + 6), rows * (height + 6)), "white")
-    for i, picture in enumerate(pictures):
-        sheet.paste(picture, (i % columns * (width + 6), i // columns * (height + 6)))
-    return sheet
-
-
-def stacked(strips: Sequence[Image.Image]) -> Image.Image:
-    """Return pictures of any width below each other."""
-    width = max(strip.width for strip in strips)
-    sheet = Image.new("RGB", (width, sum(strip.height for strip in strips)), "white")
-    top = 0
-    for strip in strips:
-        sheet.paste(strip, (0, top))
-        top += strip.height
-    return sheet
+    return captioned(picture, caption, text=max(12, size // 28))
 
 
 def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8]:
@@ -86,15 +60,13 @@ def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8
     near = float(np.percentile(depth, 1))
     grey = 235 - 190 * np.clip((depth - near) / max(view.far - near, 1e-3), 0, 1)
     colour = np.repeat(grey[..., None], 3, axis=2)
-    mask = view.mask[np.ix_(rows, columns)]
-    colour[mask] = 0.6 * colour[mask] + 0.4 * _TARGET
-    return colour.astype(np.uint8)
+    return tinted(colour.astype(np.uint8), view.mask[np.ix_(rows, columns)])
 
 
 def _draw_jaws(
     pen: ImageDraw.ImageDraw,
-    middle: NDArray[np.float64],
-    axis: NDArray[np.float64],
+    middle: Floats,
+    axis: Floats,
     half: float,
     colour: tuple[int, int, int],
     width: int,

@@ -1,12 +1,16 @@
 import numpy as np
 from PIL import Image
 
+from mechsearch.camera import Camera, look_at
 from mechsearch.grasp.candidates import ImageGrasp
-from mechsearch.grasp.picture import draw_grasps, grid, stacked
 from mechsearch.grasp.view import GraspView
+from mechsearch.pictures.canvas import tiled
+from mechsearch.pictures.grasps import draw_grasps
 
 
-def test_the_best_grasp_is_drawn_where_it_closes(overhead):
+def test_the_best_grasp_is_drawn_where_it_closes():
+    pose = look_at((0, 0, 0.8), (0, 0, 0), (0, 1, 0))
+    overhead = Camera(160, 120, 552.5, 552.5, 79.5, 59.5, pose)
     depth = np.full((120, 160), 0.8, np.float32)
     mask = np.zeros(depth.shape, np.bool_)
     mask[50:70, 70:90] = True
@@ -24,5 +28,6 @@ def test_the_best_grasp_is_drawn_where_it_closes(overhead):
 
 def test_pictures_are_put_together():
     tiles = [Image.new("RGB", (10, 20)) for _ in range(5)]
-    assert grid(tiles, 4).size == (64, 52)
-    assert stacked([tiles[0], Image.new("RGB", (30, 5))]).size == (30, 25)
+    assert tiled(tiles, 4, margin=3).size == (64, 52)
+    assert tiled([tiles[0], Image.new("RGB", (30, 5))], 1, gap=0).size == (30, 25)
+    assert tiled([tiles[0], Image.new("RGB", (30, 5))], 2, gap=4).size == (44, 20)

@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, look_at
 from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.canvas import SMOOTHING, captioned, shrunk, tiled, tinted
 from mechsearch.render.renderer import Renderer
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftFrame
 from mechsearch.types import Floats, MechSearchError
-
-_TINT = np.array([40.0, 215.0, 70.0])
-_SMOOTHING = 2
 
 
 def lift_strip(
@@ -46,25 +44,19 @@ def lift_strip(
     first = frames[0].gripper[0, :3]
     across = _across(first, frames[0].gripper)
     eye = middle + 0.55 * across + [0.0, 0.0, 0.4]
-    pixels = size * _SMOOTHING
+    pixels, text = size * SMOOTHING, max(11, size // 13)
     centre = (pixels - 1) / 2
     pose, focal = look_at(eye, middle, (0, 0, 1)), 1.45 * pixels
     camera = Camera(pixels, pixels, focal, focal, centre, centre, pose)
     renderer = Renderer([*models, *gripper.models()])
-    line = max(11, size // 13)
-    sheet = Image.new("RGB", (len(chosen) * size, size + 2 * line), "white")
-    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(line)
-    for i, frame in enumerate(chosen):
+    tiles = []
+    for frame in chosen:
         seen = renderer.frame(camera, np.concatenate([frame.poses, frame.gripper]), colour=True)
         assert seen.rgb is not None
-        rgb = seen.rgb.astype(np.float64)
-        own = seen.modal(target)
-        rgb[own] = 0.55 * rgb[own] + 0.45 * _TINT
-        tile = Image.fromarray(rgb.astype(np.uint8)).resize((size, size), Image.Resampling.BOX)
-        ImageDraw.Draw(tile).text((4, 2), frame.phase, "white", font)
-        sheet.paste(tile, (i * size, 0))
-    pen.text((4, size + line // 3), caption, "#20242c", font)
-    return sheet
+        tile = shrunk(Image.fromarray(tinted(seen.rgb, seen.modal(target))), size)
+        ImageDraw.Draw(tile).text((4, 2), frame.phase, "white", font_size=text)
+        tiles.append(tile)
+    return captioned(tiled(tiles, len(tiles), gap=0), caption, text=text)
 
 
 def _across(centre: Floats, parts: Floats) -> Floats:
