@@ -304,7 +304,7 @@ def make(name: str, seed: int | None = None, actions: int = 0) -> Evaluation:
 
 def test_names_tell_runs_apart_no_more_than_needed() -> None:
     found = [make("idle"), make("teacher-spiral"), make("ddpg", 0, 9), make("method", 0, 9)]
-    assert list(named(found)) == ["ddpg", "method", "teacher-spiral", "idle"]
+    assert list(named(found)) == ["method", "ddpg", "teacher-spiral", "idle"]
     seeds = [make("method", 1, 9), make("method", 0, 9)]
     assert set(named(seeds)) == {"method, seed 0", "method, seed 1"}
     lengths = [make("method", 0, 4000), make("method", 0, 8000)]

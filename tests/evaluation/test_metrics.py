@@ -8,7 +8,6 @@ from mechsearch.evaluation.metrics import (
     METRICS,
     mean_interval,
     measure,
-    paired_difference,
     score,
     score_by_count,
     share_interval,
@@ -52,11 +51,6 @@ def test_retrieval_is_scored_as_a_share_of_all_episodes(make_episode) -> None:
     tried = [GraspRecord(0.1, 0.2, 0.3, "", end) for end in ("success", "missed", "", "success")]
     episodes = [make_episode(i, grasp=grasp) for i, grasp in enumerate(tried)]
     assert score(episodes)["retrieval_after"] == share_interval([1, 0, 0, 1])
-    gain = paired_difference(
-        episodes, [make_episode(i, grasp=tried[1]) for i in range(4)], "retrieval_after"
-    )
-    assert gain.mean == 0.5
-    assert -1 <= gain.ci_low < 0.5 < gain.ci_high <= 1
 
 
 def test_grasps_are_tried_in_all_episodes_or_none(make_episode) -> None:
@@ -135,36 +129,3 @@ def test_scores_by_count_partition_the_heaps(make_episode) -> None:
 def test_no_episode_has_no_score() -> None:
     with pytest.raises(MechSearchError, match="no episode to score"):
         score([])
-
-
-def test_a_paired_difference_ignores_what_both_share(make_episode) -> None:
-    rng = np.random.default_rng(0)
-    difficulty = rng.normal(0, 100, 30)
-
-    def records(gain: float, noise: float, order: list[int]) -> list:
-        return [
-            make_episode(
-                i,
-                length=1,
-                reward_terms={"all": np.array([difficulty[i] + gain + noise * (i % 2)])},
-            )
-            for i in order
-        ]
-
-    ours = records(2.0, 1.0, list(range(30)))
-    theirs = records(0.0, 0.0, list(reversed(range(30))))
-    difference = paired_difference(ours, theirs, "reward")
-    assert difference.mean == pytest.approx(2.5)
-    assert 2.2 < difference.ci_low < difference.ci_high < 2.8
-    opposite = paired_difference(theirs, ours, "reward")
-    assert (opposite.mean, opposite.ci_low) == pytest.approx((-2.5, -difference.ci_high))
-
-
-def test_policies_on_different_heaps_are_not_compared(make_episode) -> None:
-    ours, theirs = [make_episode(1), make_episode(2)], [make_episode(2), make_episode(3)]
-    with pytest.raises(MechSearchError, match="2 and 2 heaps, of which 1 are shared"):
-        paired_difference(ours, theirs, "reward")
-    with pytest.raises(MechSearchError, match="2 episodes cover 1 heaps"):
-        paired_difference([make_episode(1), make_episode(1)], theirs, "reward")
-    with pytest.raises(MechSearchError, match="unknown metric 'speed'; choose one of reward"):
-        paired_difference(ours, ours, "speed")

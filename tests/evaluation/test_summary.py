@@ -7,17 +7,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mechsearch.evaluation import summary
-from mechsearch.evaluation.metrics import METRICS, Estimate, score
+from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.metrics import METRICS
 from mechsearch.evaluation.summary import SummaryRow
 from mechsearch.types import MechSearchError
 
 HEADER = "experiment,condition,variant,seed,actions,metric,mean,ci_low,ci_high\n"
+HEADER_OF = {
+    "condition": "single",
+    "name": "random",
+    "seed": 0,
+    "trained": False,
+    "training_seed": None,
+    "training_actions": 0,
+}
 ROW = SummaryRow("main", "single", "method", 0, 8000, "reward", -15.25, -16.5, -14.0)
 
 
 def test_there_is_one_row_for_each_metric(make_episode) -> None:
-    scores = score([make_episode(1), make_episode(2)])
-    rows = summary.rows("main", "single", "random", 0, 0, scores)
+    evaluation = Evaluation(HEADER_OF, (make_episode(1), make_episode(2)))
+    rows = summary.rows_of("main", evaluation)
     assert tuple(row.metric for row in rows) == METRICS
     assert all(row.ci_low <= row.mean <= row.ci_high for row in rows)
 
@@ -70,8 +79,8 @@ def test_merging_is_idempotent_and_sorted(tmp_path_factory, first: list, second:
 
 
 def test_an_interval_that_does_not_exist_survives_the_file(tmp_path: Path) -> None:
-    scores = dict.fromkeys(METRICS, Estimate(1.0, float("nan"), float("nan"), 1))
-    summary.merge(tmp_path / "s.csv", summary.rows("e", "single", "idle", 0, 0, scores))
+    nothing = float("nan")
+    summary.merge(tmp_path / "s.csv", [replace(ROW, ci_low=nothing, ci_high=nothing)])
     assert all(row.ci_low != row.ci_low for row in summary.read(tmp_path / "s.csv"))
 
 

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mechsearch.report import learning, tradeoff
-from mechsearch.report.curves import Run
-from mechsearch.report.experiment import Condition, Experiment, read_experiment
+from mechsearch.findings.analysis import analyse, tradeoff_rows
+from mechsearch.findings.experiment import Condition, Experiment, read_experiment
+from mechsearch.findings.runs import CURVE_COLUMNS, Run, learning_curve
+from mechsearch.report import learning
+from mechsearch.report.figures import draw_tradeoff
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def run(seed: int, rewards: dict[int, float]) -> Run:
 
 def test_a_curve_is_the_mean_over_seeds_at_the_steps_that_all_have() -> None:
     runs = [run(0, {0: 1.0, 100: 2.0, 200: 9.0}), run(1, {0: 3.0, 100: 6.0})]
-    found = learning.curve(runs, "reward", "held_out")
+    found = learning_curve(runs, "reward", "held_out")
     assert found is not None
     np.testing.assert_array_equal(found.steps, [0, 100])
     np.testing.assert_array_equal(found.seeds, [[1, 2], [3, 6]])
@@ -34,17 +36,17 @@ def test_a_curve_is_the_mean_over_seeds_at_the_steps_that_all_have() -> None:
 def test_a_step_that_was_scored_again_counts_once_and_the_last_time() -> None:
     records = [{"step": 0, "reward": 1.0}, {"step": 100, "reward": 2.0}]
     again = Run("method", 0, {"held_out": [*records, {"step": 100, "reward": 5.0}]})
-    found = learning.curve([again], "reward", "held_out")
+    found = learning_curve([again], "reward", "held_out")
     assert found is not None
     np.testing.assert_array_equal(found.seeds, [[1, 5]])
 
 
 def test_without_runs_there_is_no_curve() -> None:
-    assert learning.curve([], "reward", "held_out") is None
+    assert learning_curve([], "reward", "held_out") is None
 
 
 def test_curves_are_of_held_out_heaps_where_there_are_any(experiment: Experiment) -> None:
-    assert learning.scored_on(experiment) == "held_out"
+    assert experiment.scored_on == "held_out"
 
 
 def test_figures_have_a_panel_for_each_metric_and_condition(experiment: Experiment) -> None:
@@ -104,8 +106,8 @@ def test_bands_stay_within_the_panel(experiment: Experiment) -> None:
 
 
 def test_rows_have_every_value_of_every_seed(experiment: Experiment) -> None:
-    head, *rows = learning.curve_rows(experiment)
-    assert head == learning.COLUMNS
+    head, *rows = analyse(experiment).numbers["learning"]
+    assert head == CURVE_COLUMNS
     # Two conditions, three seeds, three steps: three metrics of six variants, and a fourth of two.
     assert len(rows) == 2 * 3 * 3 * (3 * 6 + 2)
     assert ("single", "method", "1", "held-out heaps", "8000", "reward", "0.91", "", "", "") in rows
@@ -114,20 +116,20 @@ def test_rows_have_every_value_of_every_seed(experiment: Experiment) -> None:
 def test_rows_have_the_interval_that_a_run_logged() -> None:
     logged = {"step": 5, "reward": 1.0, "reward_ci_low": 0.5, "reward_ci_high": 1.5, "heaps": 50}
     single = Condition("single", {}, {"method": (Run("method", 2, {"held_out": [logged]}),)})
-    _, row = learning.curve_rows(Experiment(Path(), {}, {"single": single}))
+    _, row = analyse(Experiment({}, {"single": single})).numbers["learning"]
     place = ("single", "method", "2", "held-out heaps", "5")
     assert row == (*place, "reward", "1", "0.5", "1.5", "50")
 
 
 def test_the_tradeoff_has_a_panel_for_each_number_of_objects(experiment: Experiment) -> None:
-    figure = tradeoff.draw_tradeoff(experiment.conditions["single"])
+    figure = draw_tradeoff(experiment.conditions["single"])
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles == ["single, all heaps", "5 objects", "10 objects", "15 objects"]
     assert len({(ax.get_xlim(), ax.get_ylim()) for ax in figure.axes}) == 1
 
 
 def test_tradeoff_points_are_means_over_seeds_and_heaps(experiment: Experiment) -> None:
-    head, *rows = tradeoff.tradeoff_rows(experiment)
+    head, *rows = tradeoff_rows(experiment)
     assert len(rows) == 2 * 4 * 11 * 2
     found = {tuple(row[:5]): dict(zip(head, row, strict=True)) for row in rows}
     row = found["single", "10", "method", "3", "clutter_moved_m"]
@@ -137,4 +139,4 @@ def test_tradeoff_points_are_means_over_seeds_and_heaps(experiment: Experiment) 
 
 
 def test_a_policy_without_heaps_of_a_size_has_no_point_there(experiment: Experiment) -> None:
-    assert tradeoff.estimates(experiment.conditions["single"], "idle", 7) is None
+    assert experiment.conditions["single"].scores_of("idle", count=7) == {}

@@ -29,6 +29,7 @@ def test_a_sweep_s_folder_becomes_a_page_a_pdf_drawings_and_numbers(
         "claims.csv",
         "learning.csv",
         "learning.svg",
+        "scores-single.svg",
         "tradeoff-single.svg",
         "tradeoff.csv",
     ]
@@ -61,8 +62,6 @@ def test_bad_sources_are_refused_in_one_line_and_nothing_is_written(
 ) -> None:
     out = ["--out", str(tmp_path / "r.html"), "--no-pictures"]
     evaluation = str(folder / "single" / "evaluations" / "idle.npz")
-    pdf = ["--pdf", str(tmp_path / "r.pdf")]
-    assert "needs a folder that `mechsearch sweep` wrote" in refused([evaluation, *pdf], capsys)
     assert "reported by itself" in refused([str(folder), evaluation, *out], capsys)
     broken = Path(shutil.copytree(folder, tmp_path / "broken"))
     (broken / "single" / "evaluations" / "idle.npz").write_bytes(b"PK")
@@ -74,9 +73,14 @@ def test_bad_sources_are_refused_in_one_line_and_nothing_is_written(
     assert [path.name for path in tmp_path.iterdir()] == ["broken"]
 
 
-def test_single_evaluations_are_reported_as_before(folder: Path, tmp_path: Path) -> None:
+def test_single_evaluations_are_reported_too(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = tmp_path / "r.html"
-    evaluations = folder / "single" / "evaluations"
-    main(["report", str(evaluations), "--out", str(page), "--no-pictures"])
+    words = ["report", str(folder / "single" / "evaluations"), "--out", str(page), "--no-pictures"]
+    main(words)
     assert "What beat what" in page.read_text()
+    assert "In reward, method beats idle" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
+    main([*words, "--pdf", str(tmp_path / "r.pdf")])
+    assert (tmp_path / "r.pdf").read_bytes().startswith(b"%PDF")

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import yaw_quaternion
-from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.graspability import Graspability, on_table
 from mechsearch.objects.catalog import load_object_set
+from mechsearch.pictures.lift import lift_strip
 from mechsearch.retrieval.assessment import (
     GraspAssessment,
     GraspTask,

@@ -34,7 +34,7 @@ class Forgetful:
 WHAT_NAMES_TEACHERS = """
 from mechsearch.evaluation.look_ahead import SHAPES
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.report.claims import GOALS, PAPER
+from mechsearch.findings.claims import GOALS, PAPER
 from mechsearch.training.config import PRESETS
 
 print([shape.__name__ for shape in SHAPES], SweepPlan(), PAPER, GOALS, PRESETS)

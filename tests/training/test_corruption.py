@@ -20,6 +20,7 @@ from mechsearch.experiments.journal import Journal
 from mechsearch.experiments.plan import QUICK, read_plan
 from mechsearch.files import records
 from mechsearch.files import tensors as weights
+from mechsearch.findings.runs import read_run
 from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
@@ -30,7 +31,6 @@ from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.push_values.value import Continuation, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes import NUMBERS, PATCH
-from mechsearch.report.curves import read_run
 from mechsearch.training import run_directory
 from mechsearch.training.config import load_config
 from mechsearch.training.loop import learn

@@ -36,7 +36,9 @@ COMMANDS = {
     "evaluate": Entry("evaluation:Evaluate", "score policies on heaps and record the episodes"),
     "sweep": Entry("sweeping:Sweep", "every experiment of the paper, by one command", learns=True),
     "verify": Entry("verification:Verify", "play recorded episodes again: the same bits?"),
-    "show": Entry("evaluation:Show", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
+    "show": Entry(
+        "evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"
+    ),
     "pack": Entry("packing:Pack", "a run's policy for others, with a card", learns=True),
     "grasp score": Entry(
         "grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image", True

@@ -16,18 +16,25 @@ from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation.metrics import METRICS, score, score_by_count
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name, in_task
 from mechsearch.files import check_place, write_whole
+from mechsearch.findings import tables
+from mechsearch.findings.experiment import distinct_names, ordered
+from mechsearch.findings.scores import ranked_heaps
 from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.pictures.video import FORMATS, write_film
 from mechsearch.processes import Mapper
-from mechsearch.report import tables
-from mechsearch.report.page import pictured
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
 _TaskOptions: Any = optional(TaskConfig)
+
+_NOTE = (
+    "Means over heaps with 95 % confidence intervals (Student's t; Wilson's for the share "
+    "uncovered). Every episode counts, lost targets and failed simulations included; an unfinished "
+    "one counts all its actions. Clutter moved is the path length of a non-target object."
+)
 
 
 @dataclass(frozen=True)
@@ -126,13 +133,14 @@ class Evaluate(Command):
         return assessor(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
-        scores = tables.scores_of(evaluations)
+        scores = {name: score(evaluation.episodes) for name, evaluation in evaluations.items()}
         shown = [tables.score_table(scores)]
         if self.grasps or self.grasp_network:
             shown.append(retrieval_table(evaluations))
         if not self.brief:
             shown.append(tables.terms_table(scores))
-            shown += [tables.count_table(evaluations, metric) for metric in METRICS]
+            by_count = {name: score_by_count(e.episodes) for name, e in evaluations.items()}
+            shown += [tables.count_table(by_count, metric) for metric in METRICS]
         say("\n".join(map(tables.to_text, shown)))
         for name, evaluation in evaluations.items():
             for lost in evaluation.header.get("quarantined", ()):
@@ -141,11 +149,11 @@ class Evaluate(Command):
                 executed = sum(len(record.actions) for record in evaluation.episodes)
                 simulated = evaluation.header["simulated_actions"]
                 say(f"{name}: {executed:,} actions executed, {simulated:,} more simulated to plan")
-        say(tables.NOTE)
+        say(_NOTE)
 
 
 @dataclass(frozen=True)
-class Show(Command):
+class ShowEpisode(Command):
     """Draw a recorded episode: target green, path of the end effector blue.
 
     Attributes:
@@ -192,8 +200,9 @@ class Show(Command):
         wrote(self.out)
 
     def _episode(self, evaluation: Evaluation) -> EpisodeRecord:
-        ranked = {rank: str(seed) for rank, (_, seed) in pictured(evaluation).items()}
-        seed = ranked.get(self.which, self.which)
+        rewards = {record.heap_seed: float(record.rewards.sum()) for record in evaluation.episodes}
+        ranked = ranked_heaps(rewards, rewards.values())
+        seed = str(ranked.get(self.which, self.which))
         found = [record for record in evaluation.episodes if str(record.heap_seed) == seed]
         if not found:
             some = ", ".join(str(record.heap_seed) for record in evaluation.episodes[:5])
@@ -220,23 +229,7 @@ def write(evaluation: Evaluation, folder: Path) -> None:
 
 
 def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:
-    """Return evaluations by a name that tells them apart: those that learnt, teachers, others."""
-    found = sorted(evaluations, key=_rank)
-    plain = [str(e.header["name"]) for e in found]
-    seeded = [f"{e.header['name']}, seed {e.header['training_seed']}" for e in found]
-    counted = [
-        f"{name}, {e.header['training_actions']:,} actions"
-        for name, e in zip(seeded, found, strict=True)
-    ]
-    names = list(plain)
-    for better in (seeded, counted, [f"{name} ({i + 1})" for i, name in enumerate(counted)]):
-        names = [
-            new if names.count(old) > 1 else old for old, new in zip(names, better, strict=True)
-        ]
-    return dict(zip(names, found, strict=True))
-
-
-def _rank(evaluation: Evaluation) -> tuple[bool, bool, str, int]:
-    header = evaluation.header
-    name = str(header["name"])
-    return not header["trained"], not name.startswith("teacher-"), name, header["training_actions"]
+    """Return evaluations by a name that tells them apart, in the order of reports."""
+    listed = list(evaluations)
+    found = dict(zip(distinct_names([e.header for e in listed]), listed, strict=True))
+    return {name: found[name] for name in ordered(found)}

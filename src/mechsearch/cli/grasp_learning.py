@@ -11,6 +11,7 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
 from mechsearch.evaluation import episodes
 from mechsearch.files import write_json, write_text
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.learning.grasp_set import load_grasps
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps
 from mechsearch.grasp.learning.training import (
@@ -20,8 +21,7 @@ from mechsearch.grasp.learning.training import (
     train_grasp_network,
 )
 from mechsearch.heaps.dataset import load
-from mechsearch.report.reliability import draw_reliability
-from mechsearch.report.tables import Table, to_text
+from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.retrieval.calibration import Calibration, calibrate_network
 
 
@@ -127,7 +127,7 @@ class TestGrasps(Command):
             wrote(self.out)
         if self.plot:
             curves = {name: np.array(verdict.curve) for name, verdict in found.networks.items()}
-            write_text(self.plot, draw_reliability(curves))
+            write_text(self.plot, to_svg(draw_reliability(curves)))
             wrote(self.plot)
 
 
@@ -182,7 +182,7 @@ class CalibrateGrasps(Command):
             wrote(self.out)
         if self.plot:
             curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
-            write_text(self.plot, draw_reliability(curves))
+            write_text(self.plot, to_svg(draw_reliability(curves)))
             wrote(self.plot)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.metrics import score
-from mechsearch.report.tables import Table, cell
+from mechsearch.findings.tables import Table, cell
 
 
 def retrieval_table(evaluations: Mapping[str, Evaluation]) -> Table:

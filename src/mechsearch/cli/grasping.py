@@ -8,13 +8,14 @@ from PIL import Image
 
 from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
 from mechsearch.files import write_whole
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.depth_image import read_view
-from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.grasp_view import check_opening, view_of_heap
 from mechsearch.grasp.graspability import rate
-from mechsearch.grasp.picture import draw_grasps, grid, stacked
 from mechsearch.heaps.heap import Heap
-from mechsearch.report.tables import Table, to_text
+from mechsearch.pictures.canvas import tiled
+from mechsearch.pictures.grasps import draw_grasps
+from mechsearch.pictures.lift import lift_strip
 from mechsearch.retrieval.assessment import (
     GraspAssessment,
     GraspTask,
@@ -84,7 +85,7 @@ class ScoreGrasps(GraspTargets):
         else:
             raise MechSearchError("name either --heaps, or --depth with --mask and --intrinsics")
         if self.out:
-            write_whole(self.out, grid(pictures).save)
+            write_whole(self.out, tiled(pictures, 4, margin=3).save)
             wrote(self.out)
 
     def _score_heaps(self, path: Path) -> list[Image.Image]:
@@ -173,7 +174,7 @@ class LiftGrasps(GraspTargets):
             strips = [_strip(task, a) for task, a in zip(tasks, found, strict=True) if a.lifts]
             if not strips:
                 raise MechSearchError("no target is visible in these heaps: there is no film")
-            write_whole(self.out, stacked(strips).save)
+            write_whole(self.out, tiled(strips, 1, gap=0).save)
             wrote(self.out)
 
     def _seed(self, task: GraspTask) -> int:

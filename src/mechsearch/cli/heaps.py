@@ -9,12 +9,12 @@ import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
 from mechsearch.files import write_whole
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, load, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.heaps.heap import Heap
 from mechsearch.pictures.sheet import heap_sheet
-from mechsearch.report.tables import Table, to_text
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import tyro
 
 from mechsearch.cli.command import Command, say, wrote
 from mechsearch.files import write_whole
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.objects.catalog import load_object_set, ycb_folder
 from mechsearch.objects.model import ObjectModel
 from mechsearch.objects.ycb.download import OFFICIAL, pull_ycb
 from mechsearch.pictures.sheet import object_sheet
-from mechsearch.report.tables import Table, to_text
 
 FLAGGED_ERROR = 0.005
 """Distance between mesh and convex parts above which an object is flagged [m]."""

@@ -15,8 +15,8 @@ from mechsearch.experiments.status import (
     SweepStatus,
     status_of,
 )
+from mechsearch.findings.tables import Table, to_text
 from mechsearch.processes import map_in_order, map_long_work
-from mechsearch.report.tables import Table, to_text
 from mechsearch.retrieval.episodes import assessor
 
 

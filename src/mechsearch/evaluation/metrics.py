@@ -31,17 +31,8 @@ GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
 SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after")
 """Scores that are 1 or 0 in one episode."""
 
-HIGHER_IS_BETTER = {
-    "reward": True,
-    "visibility_change": True,
-    "uncovered_rate": True,
-    "episode_actions": False,
-    "clutter_moved_m": False,
-    "target_moved_m": False,
-    "graspability_change": True,
-    "retrieval_before": True,
-    "retrieval_after": True,
-}
+_LOWER_IS_BETTER = ("episode_actions", "clutter_moved_m", "target_moved_m")
+HIGHER_IS_BETTER = {name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS)}
 
 RETRIEVED = "success"
 CONFIDENCE = 0.95
@@ -142,56 +133,6 @@ def score_by_count(records: Sequence[EpisodeRecord]) -> dict[int, dict[str, Esti
     """Return every metric by the number of objects in the heap, fewest first."""
     counts = sorted({record.count for record in records})
     return {count: score(r for r in records if r.count == count) for count in counts}
-
-
-def paired_difference(
-    ours: Sequence[EpisodeRecord], theirs: Sequence[EpisodeRecord], metric: str
-) -> Estimate:
-    """Return the mean of ours minus theirs, heap by heap, with its interval.
-
-    The interval is Student's t; Agresti and Min's (2005) for shares of episodes.
-
-    Raises:
-        MechSearchError: If the two were not run on the same heaps, or there is no such metric.
-    """
-    left, right = _by_heap(ours), _by_heap(theirs)
-    if left.keys() != right.keys():
-        raise MechSearchError(
-            f"the two policies ran on {len(left)} and {len(right)} heaps, of which "
-            f"{len(left.keys() & right.keys())} are shared; a paired difference needs the same"
-        )
-    known = next(iter(left.values()), {})
-    if metric not in known:
-        raise MechSearchError(f"unknown metric {metric!r}; choose one of {', '.join(known)}")
-    differences = [left[heap][metric] - right[heap][metric] for heap in left]
-    if metric in SHARES:
-        return _difference_of_shares(np.array(differences))
-    return mean_interval(differences)
-
-
-def _difference_of_shares(x: Floats) -> Estimate:
-    """Return the mean of paired differences (n,), each -1, 0 or 1, after Agresti and Min (2005).
-
-    Half an episode is added to each of the four outcomes of a pair, so that the interval does not
-    shrink to a point when all pairs are alike.
-    """
-    n, gained, lost = len(x) + 2, (x > 0).sum() + 0.5, (x < 0).sum() + 0.5
-    centre = (gained - lost) / n
-    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
-    half = z * float(np.sqrt((gained + lost) / n - centre**2) / np.sqrt(n))
-    mean = float(x.mean())
-    low, high = min(mean, centre - half), max(mean, centre + half)
-    return Estimate(mean, max(-1.0, low), min(1.0, high), len(x))
-
-
-def _by_heap(records: Sequence[EpisodeRecord]) -> dict[tuple[str, int], dict[str, float]]:
-    measured = {(r.condition, r.heap_seed): measure(r) for r in records}
-    if len(measured) != len(records):
-        raise MechSearchError(
-            f"{len(records)} episodes cover {len(measured)} heaps; "
-            "a paired difference needs one episode on each"
-        )
-    return measured
 
 
 def _checked(values: ArrayLike) -> Floats:

@@ -1,12 +1,12 @@
 """The table of all results: one row per metric, variant and training seed, none pooled."""
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, score
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, score
 from mechsearch.files import locked, write_whole
 from mechsearch.types import MechSearchError
 
@@ -40,56 +40,30 @@ class SummaryRow:
     @property
     def key(self) -> tuple[str, str, str, int, int, str]:
         """What names the row."""
-        return (
-            self.experiment,
-            self.condition,
-            self.variant,
-            self.seed,
-            self.actions,
-            self.metric,
-        )
+        return self.experiment, self.condition, self.variant, self.seed, self.actions, self.metric
 
 
-COLUMNS = tuple(field.name for field in fields(SummaryRow))
-
-
-def rows(
-    experiment: str,
-    condition: str,
-    variant: str,
-    seed: int,
-    actions: int,
-    scores: Mapping[str, Estimate],
-) -> list[SummaryRow]:
-    """Return one row for each of `METRICS`, and of `GRASP_METRICS` where they were measured."""
-    return [
-        SummaryRow(
-            experiment,
-            condition,
-            variant,
-            seed,
-            actions,
-            metric,
-            scores[metric].mean,
-            scores[metric].ci_low,
-            scores[metric].ci_high,
-        )
-        for metric in (*METRICS, *(name for name in GRASP_METRICS if name in scores))
-    ]
+SUMMARY_COLUMNS = tuple(field.name for field in fields(SummaryRow))
 
 
 def rows_of(experiment: str, evaluation: Evaluation) -> list[SummaryRow]:
-    """Return the rows that an evaluation enters into a summary."""
-    header = evaluation.header
+    """Return the rows that an evaluation enters into a summary.
+
+    There is one for each of `METRICS`, and of `GRASP_METRICS` where they were measured.
+    """
+    header, scores = evaluation.header, score(evaluation.episodes)
     seed = header["training_seed"] if header["trained"] else header["seed"]
-    return rows(
-        experiment,
-        header["condition"],
-        header["name"],
-        header["seed"] if seed is None else seed,
-        header["training_actions"],
-        score(evaluation.episodes),
-    )
+    place = (experiment, header["condition"], header["name"])
+    return [
+        SummaryRow(
+            *place,
+            header["seed"] if seed is None else seed,
+            header["training_actions"],
+            metric,
+            *(scores[metric].mean, scores[metric].ci_low, scores[metric].ci_high),
+        )
+        for metric in (*METRICS, *(name for name in GRASP_METRICS if name in scores))
+    ]
 
 
 def read(path: Path) -> list[SummaryRow]:
@@ -105,9 +79,9 @@ def read(path: Path) -> list[SummaryRow]:
         raise MechSearchError(f"no summary at {path}") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise MechSearchError(f"the summary at {path} cannot be read: {error}") from None
-    if not lines or tuple(lines[0]) != COLUMNS:
+    if not lines or tuple(lines[0]) != SUMMARY_COLUMNS:
         found = ",".join(lines[0]) if lines else "nothing"
-        raise MechSearchError(f"{path} begins with {found}; expected {','.join(COLUMNS)}")
+        raise MechSearchError(f"{path} begins with {found}; expected {','.join(SUMMARY_COLUMNS)}")
     return [_row(path, number, line) for number, line in enumerate(lines[1:], start=2)]
 
 
@@ -132,7 +106,7 @@ def _write(path: Path, merged: Iterable[SummaryRow]) -> None:
     def write(partial: Path) -> None:
         with partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
+            writer.writerow(SUMMARY_COLUMNS)
             writer.writerows(_cells(row) for row in merged)
 
     write_whole(path, write)
@@ -151,5 +125,5 @@ def _row(path: Path, number: int, cells: list[str]) -> SummaryRow:
         )
     except ValueError:
         raise MechSearchError(
-            f"line {number} of {path} is {','.join(cells)!r}; expected {','.join(COLUMNS)}"
+            f"line {number} of {path} is {','.join(cells)!r}; expected {','.join(SUMMARY_COLUMNS)}"
         ) from None

@@ -28,3 +28,6 @@ SUMMARY_FILE = "summary.csv"
 CURVES_FILE = "curves.csv"
 RUNS_FOLDER = "runs"
 EVALUATIONS_FOLDER = "evaluations"
+
+SCORES_SUFFIX = ".scores.npz"
+"""Ends the name of the compact scores beside episodes: those of `a.npz` are in `a.scores.npz`."""

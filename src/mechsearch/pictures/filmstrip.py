@@ -3,26 +3,20 @@
 Poses are rendered again, so a picture of any size can be made from the record alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
-from scipy import ndimage
+from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, preset
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.canvas import SMOOTHING, captioned, shrunk, tiled, tinted
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
-TARGET_TINT = (40, 215, 70)
-TARGET_RIM = (0, 90, 30)
 PATH_COLOUR = (28, 98, 235)
-_PAPER = (255, 255, 255)
-_INK = (32, 36, 44)
-_SMOOTHING = 2
 
 
 @dataclass(frozen=True)
@@ -71,7 +65,7 @@ class Film:
         self.config = config
         self._renderer = Renderer([models[name] for name in record.objects], pusher)
         self._pusher = pusher is not None
-        self._camera = preset(config.camera, config.size * _SMOOTHING)
+        self._camera = preset(config.camera, config.size * SMOOTHING)
 
     def frame(self, step: int, path: bool = True) -> Image.Image:
         """Return the state after `step` actions, with the path that led there.
@@ -110,22 +104,16 @@ class Film:
 
     def _finished(self, image: Image.Image, caption: str) -> Image.Image:
         size = self.config.size
-        small = image.resize((size, size), Image.Resampling.LANCZOS)
-        if not self.config.captions:
-            return small
-        text = max(11, size // 20)
-        framed = Image.new("RGB", (size, size + 2 * text), _PAPER)
-        framed.paste(small, (0, 0))
-        ImageDraw.Draw(framed).text(
-            (2, size + text * 0.4), caption, fill=_INK, font=ImageFont.load_default(text)
+        small = shrunk(image, size)
+        return (
+            captioned(small, caption, text=max(11, size // 20)) if self.config.captions else small
         )
-        return framed
 
 
 def start_and_end(film: Film) -> Image.Image:
     """Return the start with the whole path, and the end, side by side (paper, Fig. 1)."""
     last = len(film.record.actions)
-    return side_by_side([film.start_with_path(), film.frame(last, path=False)])
+    return tiled([film.start_with_path(), film.frame(last, path=False)], 2)
 
 
 def filmstrip(film: Film, frames: int = 5) -> Image.Image:
@@ -134,47 +122,18 @@ def filmstrip(film: Film, frames: int = 5) -> Image.Image:
     Raises:
         MechSearchError: If fewer than two frames are asked for.
     """
-    return side_by_side([film.frame(step) for step in spread(len(film.record.actions), frames)])
+    steps = frame_steps(len(film.record.actions), frames)
+    return tiled([film.frame(step) for step in steps], len(steps))
 
 
-def spread(last: int, frames: int) -> list[int]:
+def frame_steps(last: int, frames: int) -> list[int]:
     """Return at most `frames` distinct steps from 0 to `last`, evenly spread."""
     if frames < 2:
         raise MechSearchError(f"a filmstrip of {frames} frames; expected at least 2")
     return sorted({round(step) for step in np.linspace(0, last, frames)})
 
 
-def side_by_side(images: Sequence[Image.Image], gap: int = 6) -> Image.Image:
-    """Return images in a row, `gap` [px] apart."""
-    width = sum(image.width for image in images) + gap * (len(images) - 1)
-    row = Image.new("RGB", (width, max(image.height for image in images)), _PAPER)
-    left = 0
-    for image in images:
-        row.paste(image, (left, 0))
-        left += image.width + gap
-    return row
-
-
-def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the image (H, W, 3) with the pixels of a mask (H, W) green and all others paler.
-
-    Shading is kept, and a dark rim sets the target apart from other green things.
-    """
-    light = rgb.mean(axis=2, keepdims=True)
-    result = 0.5 * rgb + 0.5 * light
-    green = np.array(TARGET_TINT) * (0.55 + 0.65 * light[mask] / 255)
-    result[mask] = 0.1 * rgb[mask] + 0.9 * green
-    result[_rim(mask, max(1, len(mask) // 280))] = TARGET_RIM
-    return np.asarray(np.clip(result, 0, 255), np.uint8)
-
-
-def _rim(mask: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) of a mask that lie within `width` [px] of its edge."""
-    inner = ndimage.binary_erosion(mask, iterations=width, border_value=1)
-    return mask & ~np.asarray(inner, np.bool_)
-
-
-def draw_path(image: Image.Image, camera: Camera, positions: NDArray[np.float64]) -> None:
+def draw_path(image: Image.Image, camera: Camera, positions: Floats) -> None:
     """Draw positions (K, 3) [m] as a blue line with a ring at its start and a dot at its end."""
     points = [(float(x), float(y)) for x, y, _ in camera.project(positions)]
     draw = ImageDraw.Draw(image)

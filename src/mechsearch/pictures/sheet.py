@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.filmstrip import tinted
+from mechsearch.pictures.canvas import PAPER, SMOOTHING, captioned, shrunk, tiled, tinted
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import Floats, MechSearchError
-
-_PAPER, _INK, _SOFT = (255, 255, 255), (32, 36, 44), (110, 116, 126)
-_SMOOTHING = 2
 
 
 def object_sheet(
@@ -36,7 +33,7 @@ def object_sheet(
         longest = np.ptp(model.vertices, axis=0).max()
         facts = f"{longest * 100:.0f} cm, {model.mass * 1000:.0f} g"
         tiles.append(_tile(_portrait(model, size), name.replace("_", " "), facts))
-    return _grid(tiles, columns)
+    return tiled(tiles, columns, gap=10, margin=10)
 
 
 def heap_sheet(
@@ -60,7 +57,7 @@ def heap_sheet(
     """
     if not heaps:
         raise MechSearchError("there is no heap to draw; expected at least one")
-    view = preset(camera, size * _SMOOTHING)
+    view = preset(camera, size * SMOOTHING)
     tiles = []
     for heap in heaps:
         missing = [name for name in heap.objects if name not in models]
@@ -73,18 +70,18 @@ def heap_sheet(
         image = Image.fromarray(tinted(frame.rgb, frame.modal(heap.target)))
         title = f"{heap.objects[heap.target].replace('_', ' ')}, {heap.occlusion:.0%} hidden"
         facts = f"{heap.condition}, {heap.count} objects" + (", held out" if heap.held_out else "")
-        tiles.append(_tile(image.resize((size, size), Image.Resampling.LANCZOS), title, facts))
-    return _grid(tiles, columns)
+        tiles.append(_tile(shrunk(image, size), title, facts))
+    return tiled(tiles, columns, gap=10, margin=10)
 
 
 def _portrait(model: ObjectModel, size: int) -> Image.Image:
     """Return an object seen from above at an angle, filling the frame."""
     pose = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    camera = _portrait_camera(model.vertices, model.radius, size * _SMOOTHING)
+    camera = _portrait_camera(model.vertices, model.radius, size * SMOOTHING)
     frame = Renderer([model], table_half=0.0, floor=-100.0).frame(camera, pose[None], colour=True)
     assert frame.rgb is not None
-    rgb = np.where((frame.ids == 0)[..., None], frame.rgb, np.array(_PAPER)).astype(np.uint8)
-    return Image.fromarray(rgb).resize((size, size), Image.Resampling.LANCZOS)
+    rgb = np.where((frame.ids == 0)[..., None], frame.rgb, np.array(PAPER)).astype(np.uint8)
+    return shrunk(Image.fromarray(rgb), size)
 
 
 def _portrait_camera(vertices: Floats, radius: float, size: int) -> Camera:
@@ -99,24 +96,4 @@ def _portrait_camera(vertices: Floats, radius: float, size: int) -> Camera:
 
 
 def _tile(image: Image.Image, title: str, facts: str) -> Image.Image:
-    text = max(10, image.width // 14)
-    tile = Image.new("RGB", (image.width, image.height + 3 * text), _PAPER)
-    tile.paste(image, (0, 0))
-    draw = ImageDraw.Draw(tile)
-    for line, (words, colour) in enumerate(((title, _INK), (facts, _SOFT))):
-        font = ImageFont.load_default(text)
-        while draw.textlength(words, font=font) > image.width - 2 and len(words) > 4:
-            words = words[:-2].rstrip("…") + "…"
-        draw.text((2, image.height + text * (0.2 + 1.3 * line)), words, fill=colour, font=font)
-    return tile
-
-
-def _grid(tiles: Sequence[Image.Image], columns: int, gap: int = 10) -> Image.Image:
-    columns = max(1, min(columns, len(tiles)))
-    rows = -(-len(tiles) // columns)
-    width, height = tiles[0].size
-    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + gap) + gap), _PAPER)
-    for i, tile in enumerate(tiles):
-        row, column = divmod(i, columns)
-        sheet.paste(tile, (gap + column * (width + gap), gap + row * (height + gap)))
-    return sheet
+    return captioned(image, title, facts, text=max(10, image.width // 14))

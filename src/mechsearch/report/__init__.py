@@ -1,1 +1,1 @@
-"""Tables, curves, pictures and films, remade from files alone."""
+"""Documents that show findings: a page, a PDF, figures; remade from files alone."""

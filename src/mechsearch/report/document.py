@@ -1,14 +1,18 @@
-"""A report as data, whatever it is printed on: sections of paragraphs, tables and pictures."""
+"""A report as data, whatever it is printed on: sections of paragraphs, tables and pictures.
 
+Its page needs no other file: there is no script, and nothing is fetched.
+"""
+
+import base64
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from string import Template
 
-from mechsearch.report import tables
-from mechsearch.report.figures import data_uri
-from mechsearch.report.style import PAGE
-from mechsearch.report.tables import Table
+from mechsearch.findings.tables import Table
+
+_PAGE = Path(__file__).with_name("page.html")
 
 
 @dataclass(frozen=True)
@@ -17,28 +21,11 @@ class Paragraph:
 
     Attributes:
         text: Without any markup.
-        note: Whether it is small print.
+        kind: "" for plain text, "verdict" for large and "note" for small print.
     """
 
     text: str
-    note: bool = False
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A table.
-
-    Attributes:
-        table: Its cells.
-        marks: Class name of each cell after the first (R, C - 1): "better", "worse" or "".
-        words: Whether the cells are sentences rather than numbers.
-        widths: Share of each column in the width (C,) on paper; empty leaves it to the numbers.
-    """
-
-    table: Table
-    marks: Sequence[Sequence[str]] = ()
-    words: bool = False
-    widths: Sequence[float] = ()
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,14 +36,16 @@ class Picture:
         content: SVG text, or the bytes of a PNG.
         alt: What a reader who cannot see it should know.
         caption: Below it.
+        name: Of a file of its own beside the document; "" for none.
     """
 
     content: str | bytes
     alt: str
     caption: str
+    name: str = ""
 
 
-Block = Paragraph | Grid | Picture
+Content = Paragraph | Table | Picture
 
 
 @dataclass(frozen=True)
@@ -64,7 +53,7 @@ class Section:
     """A heading and what is below it."""
 
     title: str
-    blocks: Sequence[Block]
+    blocks: Sequence[Content]
 
 
 @dataclass(frozen=True)
@@ -79,40 +68,67 @@ class Document:
 
     title: str
     lead: str
-    sections: Sequence[Section] = field(default_factory=tuple)
+    sections: Sequence[Section] = ()
+
+    @property
+    def drawings(self) -> dict[str, str]:
+        """SVG text of the drawings that have a file of their own, by the name for it."""
+        blocks = (block for section in self.sections for block in section.blocks)
+        return {
+            block.name: block.content
+            for block in blocks
+            if isinstance(block, Picture) and block.name and isinstance(block.content, str)
+        }
 
 
 def to_html(document: Document) -> str:
     """Return a document as one HTML page that needs no other file."""
-    return Template(PAGE).substitute(
+    return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         title=escape(document.title),
         lead=escape(document.lead),
-        body="\n".join(
-            section_html(section.title, "".join(map(_block_html, section.blocks)))
-            for section in document.sections
-        ),
+        body="\n".join(map(_section_html, document.sections)),
     )
 
 
-def section_html(title: str, body: str) -> str:
-    """Return a section of a page."""
-    name = title.lower().replace(" ", "-")
-    return f'<section aria-labelledby="{name}"><h2 id="{name}">{title}</h2>{body}</section>'
+def _section_html(section: Section) -> str:
+    name = section.title.lower().replace(" ", "-")
+    body = "".join(map(_block_html, section.blocks))
+    return f'<section aria-labelledby="{name}"><h2 id="{name}">{section.title}</h2>{body}</section>'
 
 
-def picture_html(picture: Picture) -> str:
-    """Return a picture with its caption."""
-    kind = "image/svg+xml" if isinstance(picture.content, str) else "image/png"
-    return (
-        f'<figure><img src="{data_uri(picture.content, kind)}" alt="{escape(picture.alt)}">'
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
-    )
-
-
-def _block_html(block: Block) -> str:
+def _block_html(block: Content) -> str:
     if isinstance(block, Paragraph):
-        kind = ' class="note"' if block.note else ""
-        return f"<p{kind}>{escape(block.text)}</p>"
-    if isinstance(block, Grid):
-        return tables.to_html(block.table, block.marks, block.words)
-    return picture_html(block)
+        return f"<p{_class(block.kind)}>{escape(block.text)}</p>"
+    if isinstance(block, Table):
+        return _table_html(block)
+    text = isinstance(block.content, str)
+    raw = block.content.encode() if isinstance(block.content, str) else block.content
+    source = f"data:image/{'svg+xml' if text else 'png'};base64,{base64.b64encode(raw).decode()}"
+    return (
+        f'<figure><img src="{source}" alt="{escape(block.alt)}">'
+        f"<figcaption>{escape(block.caption)}</figcaption></figure>"
+    )
+
+
+def _table_html(table: Table) -> str:
+    head = "".join(f'<th scope="col">{escape(column)}</th>' for column in table.columns)
+    body = []
+    for i, (name, *cells) in enumerate(table.rows):
+        marks = table.marks[i] if table.marks else [""] * len(cells)
+        data = "".join(map(_cell_html, cells, marks))
+        body.append(f'<tr><th scope="row">{escape(name)}</th>{data}</tr>')
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    return (
+        f'<div class="wide"><table{_class("words" if table.words else "")}>{caption}<thead><tr>'
+        f"{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def _cell_html(text: str, mark: str) -> str:
+    mean, _, rest = text.partition("\n")
+    small = f"<small>{escape(rest)}</small>" if rest else ""
+    return f"<td{_class(mark)}>{escape(mean)}{small}</td>"
+
+
+def _class(name: str) -> str:
+    return f' class="{name}"' if name else ""

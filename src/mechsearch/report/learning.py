@@ -1,128 +1,58 @@
-"""Learning curves over seeds, as the paper's Figures 4 and 5 have them, and as rows of numbers."""
+"""Learning curves over seeds, as the paper's Figures 4 and 5 have them, and what went on inside."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, Estimate, mean_interval
-from mechsearch.evaluation.metrics import METRICS as ALL_METRICS
-from mechsearch.report.bootstrap import mean_over_seeds_and_heaps
-from mechsearch.report.curves import EVALUATIONS, Run, draw_levels
-from mechsearch.report.experiment import CEILING, Condition, Experiment
-from mechsearch.report.figures import GREY, PRINTED_WIDTH, colour, grid, style
-from mechsearch.report.tables import display
+from mechsearch.findings.claims import PAPER_METRICS
+from mechsearch.findings.experiment import Condition, Experiment
+from mechsearch.findings.runs import LearningCurve, Run, learning_curve
+from mechsearch.findings.tables import display
+from mechsearch.report.figures import COLOURS, GREY, PRINTED_WIDTH, panels, policy_marks, style
 from mechsearch.types import Floats
 
 LEARNING = ("method", "plus", "ddpg")
 ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
-METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
 ABLATION_METRICS = ("reward", "visibility_change")
-COLUMNS = (
-    "condition",
-    "variant",
-    "seed",
-    "scored_on",
-    "step",
-    "metric",
-    "mean",
-    "ci_low",
-    "ci_high",
-    "heaps",
-)
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One metric of one variant while it learns.
-
-    Attributes:
-        steps: Training actions at each evaluation (K,).
-        seeds: Value of each training seed (S, K).
-    """
-
-    steps: Floats
-    seeds: Floats
-
-    @property
-    def means(self) -> list[Estimate]:
-        """Mean over seeds at each step (K), with Student's t interval where there are several."""
-        return [mean_interval(values) for values in self.seeds.T]
-
-
-def curve(runs: Sequence[Run], metric: str, kind: str) -> Curve | None:
-    """Return one metric at the actions that all runs were scored at; None if there are none."""
-    series = [run.series(kind, metric) for run in runs]
-    shared = set(series[0][0]) if series else set()
-    for steps, _ in series:
-        shared &= set(steps)
-    if not shared:
-        return None
-    order = np.array(sorted(shared))
-    rows = []
-    for steps, values in series:
-        # A run that went on from a checkpoint may have scored a step again.
-        last = dict(zip(steps, values, strict=True))
-        rows.append([last[step] for step in order])
-    return Curve(order, np.array(rows))
-
-
-def scored_on(experiment: Experiment) -> str:
-    """Return which evaluations the curves show: on held-out heaps, wherever a run has them."""
-    runs = [run for c in experiment.conditions.values() for runs in c.runs.values() for run in runs]
-    return next((kind for kind in EVALUATIONS if any(run.records.get(kind) for run in runs)), "")
+RUN_METRICS = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
+_WINDOW = 15
 
 
 def draw_learning(experiment: Experiment) -> Figure:
     """Return the paper's Figure 4: metrics in rows, conditions in columns, teachers as levels."""
-    return _draw(experiment, METRICS, LEARNING, 2.15)
+    return draw_curves(experiment, PAPER_METRICS, LEARNING, 2.15)
 
 
 def draw_ablation(experiment: Experiment) -> Figure:
     """Return the paper's Figure 5: the method and what is left when a part of it is taken away."""
-    return _draw(experiment, ABLATION_METRICS, ABLATION, 2.5)
+    return draw_curves(experiment, ABLATION_METRICS, ABLATION, 2.5)
 
 
-def curve_rows(experiment: Experiment) -> list[tuple[str, ...]]:
-    """Return every point of every curve, with its interval over heaps if it has one."""
-    rows: list[tuple[str, ...]] = [COLUMNS]
-    for condition in experiment.conditions.values():
-        for name, runs in condition.runs.items():
-            for run in runs:
-                for kind, heaps in EVALUATIONS.items():
-                    for record in run.records.get(kind, ()):
-                        place = (condition.name, name, str(run.seed), heaps, str(record["step"]))
-                        rows += [(*place, metric, *cells) for metric, cells in _cells(record)]
-    return rows
-
-
-def _cells(record: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield each metric of one evaluation with its mean, interval and number of heaps."""
-    for metric in (*ALL_METRICS, *GRASP_METRICS):
-        if metric in record:
-            values = (record.get(metric + end, "") for end in ("", "_ci_low", "_ci_high"))
-            cells = [f"{value:.6g}" if value != "" else "" for value in values]
-            yield metric, (*cells, str(record.get("heaps", "")))
-
-
-def _draw(
+def draw_curves(
     experiment: Experiment, metrics: Sequence[str], variants: Sequence[str], height: float
 ) -> Figure:
-    conditions, kind = list(experiment.conditions.values()), scored_on(experiment)
+    """Return the curves of some variants: metrics in rows, conditions in columns.
+
+    Args:
+        experiment: With the runs.
+        metrics: One row each, or two in a row where there is one condition.
+        variants: Names of the runs.
+        height: Of a row [inch].
+    """
+    conditions, kind = list(experiment.conditions.values()), experiment.scored_on
+    places = [(metric, condition) for metric in metrics for condition in conditions]
+    columns = max(2, len(conditions))
     with style():
-        columns = len(conditions)
-        figure, axes = grid(len(metrics) * columns, columns, PRINTED_WIDTH / columns, height)
-        for i, ax in enumerate(axes):
-            condition, metric = conditions[i % columns], metrics[i // columns]
-            _panel(ax, condition, metric, variants, kind)
-            if i // columns == len(metrics) - 1:
-                ax.set_xlabel("training actions")
+        figure, axes = panels(len(places), columns, PRINTED_WIDTH / columns, height)
         labels: dict[str, Artist] = {}
-        for ax in axes:
+        for i, (ax, (metric, condition)) in enumerate(zip(axes, places, strict=True)):
+            _panel(ax, condition, metric, variants, kind)
+            if i + columns >= len(places):
+                ax.set_xlabel("training actions")
             handles, names = ax.get_legend_handles_labels()
             labels |= {n: h for n, h in zip(names, handles, strict=True) if n not in labels}
         if labels:
@@ -130,17 +60,93 @@ def _draw(
     return figure
 
 
+def draw_training(run: Run) -> Figure | None:
+    """Return what went on in training, or None if nothing was logged.
+
+    Reinforcement: each episode's return, the critic's first Q against the return that followed,
+    the share of saturated actions, and who chose the actions. Pushes: each episode's return and its
+    number of pushes, and what each fit learnt from and found. Of episodes, running means.
+    """
+    if not run.records.get("episode"):
+        return None
+    diagrams = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
+    with style():
+        figure, axes = panels(len(diagrams), 2, 4.8, 2.6)
+        for ax, diagram in zip(axes, diagrams, strict=True):
+            _draw_diagram(ax, run, diagram)
+    return figure
+
+
+@dataclass(frozen=True)
+class _Diagram:
+    """Some numbers of one kind of record, beside each other."""
+
+    title: str
+    kind: str
+    keys: Sequence[str]
+    over: str = "step"
+    shares: bool = False
+
+
+_PUSHES = (
+    _Diagram("return of each episode", "episode", ["return"], "executed"),
+    _Diagram("pushes in each episode", "episode", ["pushes"], "executed"),
+    _Diagram("loss of each fit", "fit", ["loss"]),
+    _Diagram("rewards to come: at once, less for occlusion", "fit", ["at_once", "by_occlusion"]),
+    _Diagram("pushes learnt from", "fit", ["pushes"]),
+    _Diagram("actions", "fit", ["executed", "simulated"]),
+)
+
+
+def _reinforcement(run: Run) -> Sequence[_Diagram]:
+    choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
+    expected = "Q at the start, and the return that followed"
+    return (
+        _Diagram("return of each episode", "episode", ["return"]),
+        _Diagram(expected, "episode", ["q_start", "return_start"]),
+        _Diagram("share of saturated actions", "episode", ["saturated"], shares=True),
+        _Diagram("who chose the actions", "episode", choices, shares=True),
+    )
+
+
+def _draw_diagram(ax: Axes, run: Run, diagram: _Diagram) -> None:
+    window = _WINDOW if diagram.kind == "episode" else 1
+    for key, colour in zip(diagram.keys, COLOURS, strict=False):
+        steps, values = run.series(diagram.kind, key, diagram.over)
+        if len(steps):
+            label = key.removeprefix("chosen_").replace("_", " ")
+            ax.plot(steps, running_mean(values, window), color=colour, label=label)
+    ax.set_title(diagram.title)
+    ax.set_xlabel("training action")
+    if diagram.shares:
+        ax.set_ylim(-0.02, 1.02)
+    if len(diagram.keys) > 1 and ax.lines:
+        ax.legend(loc="best", fontsize=8)
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Return the mean of each value and those before it, at most `window` in all (n,)."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(ends - window, 0)
+    mean: Floats = (sums[ends] - sums[starts]) / (ends - starts)
+    return mean
+
+
 def _panel(ax: Axes, condition: Condition, metric: str, variants: Sequence[str], kind: str) -> None:
     ax.set_title(f"{condition.name}: {display(metric).label}")
-    curves = {name: curve(condition.runs.get(name, ()), metric, kind) for name in variants}
+    curves = {n: learning_curve(condition.runs.get(n, ()), metric, kind) for n in variants}
     drawn = {name: found for name, found in curves.items() if found}
-    ends = {name: _end(condition, metric, name) for name in variants if name in condition.trials}
-    levels = _levels(condition, metric)
-    heights = [
-        value for found in drawn.values() for value in (found.seeds.min(), found.seeds.max())
-    ]
-    heights += [mean for _, mean in ends.values() if not np.isnan(mean)]
-    heights += [values[metric].mean for values in levels.values()]
+    means = {
+        name: float(condition.matrices([name], metric)[0].mean())
+        for name in condition.policies
+        if condition.measured(metric, name)
+    }
+    ends = {name: means.get(name, np.nan) for name in variants if name in condition.policies}
+    levels = {name: mean for name, mean in means.items() if name not in condition.learnt}
+    heights = [end for found in drawn.values() for end in (found.seeds.min(), found.seeds.max())]
+    heights += [mean for mean in ends.values() if not np.isnan(mean)]
+    heights += levels.values()
     if not heights:
         ax.text(0.5, 0.5, "not measured", transform=ax.transAxes, ha="center", color=GREY)
         ax.set(xticks=[], yticks=[])
@@ -148,21 +154,28 @@ def _panel(ax: Axes, condition: Condition, metric: str, variants: Sequence[str],
     # Bands of few seeds may be far wider than what is to be seen.
     margin = 0.08 * (max(heights) - min(heights) or 1)
     limits = (min(heights) - margin, max(heights) + margin)
-    scale = display(metric).scale
+    scale, marks = display(metric).scale, policy_marks(variants)
     for name, found in drawn.items():
-        _draw_curve(ax, found, scale, limits, name)
-    for name, (actions, mean) in ends.items():
+        _draw_curve(ax, found, scale, limits, name, marks[name][0])
+    actions = {n: float(np.mean([one.actions for one in condition.policies[n]])) for n in ends}
+    for name, mean in ends.items():
         label = None if name in drawn else f"{name}, final"
-        ax.plot([actions], [mean * scale], "D", color=colour(name), markersize=5, label=label)
+        colour = marks[name][0]
+        ax.plot([actions[name]], [mean * scale], "D", color=colour, markersize=5, label=label)
     if not drawn and ends:
         # Final scores alone: at their place in the panels that have curves.
-        ax.set_xlim(0, 1.05 * max(actions for actions, _ in ends.values()))
+        ax.set_xlim(0, 1.05 * max(actions.values()))
     ax.set_ylim(limits[0] * scale, limits[1] * scale)
-    draw_levels(ax, metric, levels)
+    _draw_levels(ax, {name: level * scale for name, level in levels.items()})
 
 
 def _draw_curve(
-    ax: Axes, found: Curve, scale: float, limits: tuple[float, float], name: str
+    ax: Axes,
+    found: LearningCurve,
+    scale: float,
+    limits: tuple[float, float],
+    name: str,
+    colour: str,
 ) -> None:
     """Draw the mean, and where there are several seeds each of them and the band."""
     if len(found.seeds) > 1:
@@ -170,25 +183,40 @@ def _draw_curve(
             np.clip([getattr(mean, end) for mean in found.means], *limits) * scale
             for end in ("ci_low", "ci_high")
         )
-        ax.fill_between(found.steps, low, high, color=colour(name), alpha=0.16, linewidth=0)
+        ax.fill_between(found.steps, low, high, color=colour, alpha=0.16, linewidth=0)
         for values in found.seeds * scale:
-            ax.plot(found.steps, values, color=colour(name), linewidth=0.6, alpha=0.55)
-    ax.plot(found.steps, found.seeds.mean(axis=0) * scale, color=colour(name), label=name)
+            ax.plot(found.steps, values, color=colour, linewidth=0.6, alpha=0.55)
+    ax.plot(found.steps, found.seeds.mean(axis=0) * scale, color=colour, label=name)
 
 
-def _end(condition: Condition, metric: str, name: str) -> tuple[float, float]:
-    """Return training actions and final score on the final heaps, NaN if it was not measured."""
-    actions = float(np.mean([trial.actions for trial in condition.trials[name]]))
-    if not condition.measured(name, metric):
-        return actions, float("nan")
-    return actions, float(np.mean(condition.matrices([name], metric)[0]))
+def _draw_levels(ax: Axes, levels: Mapping[str, float]) -> None:
+    """Draw scores of policies that do not learn as grey levels, named at the right."""
+    for level in levels.values():
+        ax.axhline(level, color=GREY, linewidth=1, zorder=0)
+    low, high = ax.get_ylim()
+    ordered = sorted(levels, key=lambda name: levels[name])
+    heights = spaced([(levels[name] - low) / (high - low) for name in ordered], 0.075)
+    for name, height in zip(ordered, heights, strict=True):
+        text = ax.text(1.015, height, name, transform=ax.transAxes, va="center")
+        text.set(fontsize=7.5, color=GREY)
+    ax.set_ylim(low, high)
 
 
-def _levels(condition: Condition, metric: str) -> Mapping[str, Mapping[str, Estimate]]:
-    ceiling = [name for name in condition.trials if name == CEILING]
-    names = [*condition.teachers, *condition.passive, *ceiling]
-    return {
-        name: {metric: mean_over_seeds_and_heaps(condition.matrices([name], metric)[0])}
-        for name in names
-        if condition.measured(name, metric)
-    }
+def spaced(heights: Sequence[float], gap: float) -> list[float]:
+    """Return ascending heights moved as little as needed to lie at least `gap` apart."""
+    groups: list[list[float]] = []
+    for height in heights:
+        groups.append([height])
+        # Labels that touch share the middle of where they want to be.
+        while len(groups) > 1 and _bottom(groups[-1], gap) - _top(groups[-2], gap) < gap:
+            last = groups.pop()
+            groups[-1] += last
+    return [_bottom(group, gap) + i * gap for group in groups for i in range(len(group))]
+
+
+def _bottom(group: Sequence[float], gap: float) -> float:
+    return sum(group) / len(group) - gap * (len(group) - 1) / 2
+
+
+def _top(group: Sequence[float], gap: float) -> float:
+    return _bottom(group, gap) + gap * (len(group) - 1)

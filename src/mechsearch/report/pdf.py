@@ -13,7 +13,8 @@ from fpdf.fonts import FontFace
 from PIL import Image
 
 from mechsearch.files import write_whole
-from mechsearch.report.document import Block, Document, Grid, Paragraph, Picture
+from mechsearch.findings.tables import Table
+from mechsearch.report.document import Content, Document, Paragraph, Picture
 
 # A file's date is not part of what it says, and would change its bytes.
 _DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)
@@ -65,12 +66,13 @@ class _Pages(FPDF):
         self.set_text_color(*_SOFT)
         self.cell(0, 5, str(self.page_no()), align="C")
 
-    def put(self, block: Block) -> None:
+    def put(self, block: Content) -> None:
         """Add one block below the last."""
         if isinstance(block, Paragraph):
-            size, colour = (8, _SOFT) if block.note else (9.5, _INK)
+            size = {"note": 8.0, "verdict": 10.5}.get(block.kind, 9.5)
+            colour = _SOFT if block.kind == "note" else _INK
             self.write_text(block.text, size, colour=colour, after=2)
-        elif isinstance(block, Grid):
+        elif isinstance(block, Table):
             self.put_table(block)
         else:
             self.put_picture(block)
@@ -100,30 +102,30 @@ class _Pages(FPDF):
         self.multi_cell(0, size * _POINT * _LINE, text, align="L", new_x="LMARGIN", new_y="NEXT")
         self.ln(after)
 
-    def put_table(self, grid: Grid) -> None:
+    def put_table(self, content: Table) -> None:
         """Add a table whose headings come again on every page."""
-        size = 7.5 if grid.words or len(grid.table.columns) < 8 else 6.5
+        size = 7.5 if content.words or len(content.columns) < 8 else 6.5
         self.need(_LEAST_HEIGHT)
-        if grid.table.caption:
-            self.write_text(grid.table.caption, 8.5, bold=grid.words, after=1)
+        if content.caption:
+            self.write_text(content.caption, 8.5, bold=content.words, after=1)
         self.set_font(_FAMILY, "", size)
         self.set_text_color(*_INK)
         self.set_draw_color(190, 194, 200)
         self.set_line_width(0.15)
-        align = "LEFT" if grid.words else ("LEFT", *["RIGHT"] * (len(grid.table.columns) - 1))
+        align = "LEFT" if content.words else ("LEFT", *["RIGHT"] * (len(content.columns) - 1))
         with self.table(
             borders_layout=TableBordersLayout.HORIZONTAL_LINES,
-            col_widths=tuple(grid.widths) or _widths(grid),
+            col_widths=tuple(content.widths) or _widths(content),
             headings_style=FontFace(emphasis="BOLD", color=_INK),
             line_height=size * _POINT * 1.3,
             padding=(0.8, 1.0),
             text_align=align,
             v_align="TOP",
         ) as table:
-            table.row(grid.table.columns)
-            for i, cells in enumerate(grid.table.rows):
+            table.row(content.columns)
+            for i, cells in enumerate(content.rows):
                 row = table.row()
-                marks = ("", *grid.marks[i]) if grid.marks else [""] * len(cells)
+                marks = ("", *content.marks[i]) if content.marks else [""] * len(cells)
                 for text, mark in zip(cells, marks, strict=True):
                     style = FontFace(color=_MARKS[mark], emphasis="BOLD") if mark else None
                     row.cell(text, style=style)
@@ -147,11 +149,11 @@ class _Pages(FPDF):
         self.write_text(picture.caption, 8, colour=_SOFT, after=3)
 
 
-def _widths(grid: Grid) -> tuple[float, ...]:
+def _widths(table: Table) -> tuple[float, ...]:
     """Return a width for each column by its longest line, or word of its bold heading."""
     widths = []
-    for i, heading in enumerate(grid.table.columns):
-        lines = [line for row in grid.table.rows for line in row[i].split("\n")]
+    for i, heading in enumerate(table.columns):
+        lines = [line for row in table.rows for line in row[i].split("\n")]
         words = [1.25 * len(word) for word in heading.split()]
         widths.append(2 + max(*map(len, lines), *words, 4))
     return tuple(widths)

@@ -1,0 +1,1 @@
+"""What runs and evaluations say: scores, comparisons, claims, tables. Nothing is drawn here."""

@@ -1,0 +1,339 @@
+"""Who was scored on which heaps, and how it went: a sweep's folder, or evaluations found anywhere.
+
+A sweep's folder has its plan, and for each condition the evaluations and the runs. Evaluations that
+no plan ties together are an experiment too, of the conditions that are found among them.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mechsearch.evaluation.metrics import METRICS, SHARES, Estimate, share_interval
+from mechsearch.files import read_record
+from mechsearch.files.layout import (
+    CONFIG_FILE,
+    EVALUATIONS_FOLDER,
+    METRICS_FILE,
+    PLAN_FILE,
+    RUNS_FOLDER,
+)
+from mechsearch.findings.bootstrap import estimated
+from mechsearch.findings.runs import EVALUATIONS, Run, read_run
+from mechsearch.findings.scores import ScoredPolicy, episode_files, read_scored
+from mechsearch.types import Floats, MechSearchError
+
+LISTED_FIRST = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
+PASSIVE = ("idle", "random")
+TEACHER_PREFIX = "teacher-"
+CEILING = "look-ahead"
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Everything that was run on one kind of heaps.
+
+    Attributes:
+        name: Such as "single".
+        policies: Each policy's scores, one for each seed; those that learnt first, then teachers.
+        runs: Of each variant, one for each seed.
+    """
+
+    name: str
+    policies: Mapping[str, tuple[ScoredPolicy, ...]]
+    runs: Mapping[str, tuple[Run, ...]]
+
+    @property
+    def scored(self) -> list[ScoredPolicy]:
+        """Every policy and seed."""
+        return [one for seeds in self.policies.values() for one in seeds]
+
+    @property
+    def learnt(self) -> list[str]:
+        """Names of the policies that learnt."""
+        return [name for name, seeds in self.policies.items() if seeds[0].trained]
+
+    @property
+    def subjects(self) -> list[str]:
+        """Names of the policies that learnt, or else of the one with the highest reward."""
+        best = max(self.policies, key=lambda name: self.matrices([name], "reward")[0].mean())
+        return self.learnt or [best]
+
+    @property
+    def teachers(self) -> list[str]:
+        """Names of the teachers that were scored."""
+        return [name for name in self.policies if name.startswith(TEACHER_PREFIX)]
+
+    @property
+    def counts(self) -> list[int]:
+        """Numbers of objects in a heap."""
+        return sorted({int(count) for one in self.scored for count in one.counts})
+
+    def measured(self, metric: str, *names: str) -> bool:
+        """Return whether all these policies have values of a metric for every seed."""
+        return all(
+            name in self.policies and all(metric in one.values for one in self.policies[name])
+            for name in names
+        )
+
+    @property
+    def terms(self) -> list[str]:
+        """Metrics that are terms of the reward."""
+        names = dict.fromkeys(metric for one in self.scored for metric in one.values)
+        return [name for name in names if name.startswith("term_")]
+
+    def matrices(self, names: Sequence[str], metric: str, count: int | None = None) -> list[Floats]:
+        """Return each policy's values (S, H) by seed and heap, on the heaps that all share.
+
+        Args:
+            names: Policies that were scored.
+            metric: That all of them have.
+            count: Of objects, to take those heaps alone.
+
+        Raises:
+            MechSearchError: If there is no heap that all ran on.
+        """
+        scored = [one for name in names for one in self.policies[name]]
+        shared = scored[0].heaps
+        if count is not None:
+            shared = shared[scored[0].counts == count]
+        for one in scored:
+            shared = np.intersect1d(shared, one.heaps)
+        if not len(shared):
+            raise MechSearchError(
+                f"{', '.join(names)} share no {self.name} heap; a comparison needs the same heaps"
+            )
+        return [
+            np.array(
+                [o.values[metric][np.searchsorted(o.heaps, shared)] for o in self.policies[name]]
+            )
+            for name in names
+        ]
+
+    def estimate(self, name: str, metric: str, count: int | None = None) -> Estimate | None:
+        """Return a policy's mean over seeds and heaps; None where it was not measured.
+
+        Args:
+            name: Of the policy.
+            metric: Which mean.
+            count: Of objects, to take those heaps alone.
+        """
+        seeds = self.policies[name]
+        present = count is None or all((one.counts == count).any() for one in seeds)
+        if not present or not self.measured(metric, name):
+            return None
+        values = self.matrices([name], metric, count)[0]
+        # Outcomes that are all alike leave a bootstrap nothing to draw from.
+        if metric in SHARES and set(values.ravel().tolist()) in ({0.0}, {1.0}):
+            return share_interval(values.mean(axis=0))
+        found = estimated([values])
+        if metric not in SHARES:
+            return found
+        # Of few seeds an interval may end beyond what a share can be.
+        return replace(found, ci_low=max(0.0, found.ci_low), ci_high=min(1.0, found.ci_high))
+
+    def scores_of(
+        self, name: str, metrics: Iterable[str] = METRICS, count: int | None = None
+    ) -> dict[str, Estimate]:
+        """Return those means of a policy that were measured, by metric; see `estimate`."""
+        found = {metric: self.estimate(name, metric, count) for metric in metrics}
+        return {metric: mean for metric, mean in found.items() if mean}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """All conditions, and what the plan asked for.
+
+    Attributes:
+        plan: Of a sweep; None for evaluations that no plan ties together.
+        conditions: By name.
+    """
+
+    plan: Mapping[str, Any] | None
+    conditions: Mapping[str, Condition]
+
+    def condition(self, name: str) -> Condition:
+        """Return a condition; one in which nothing was scored if there is none of that name."""
+        return self.conditions.get(name) or Condition(name, {}, {})
+
+    @property
+    def runs(self) -> list[Run]:
+        """Every run of every condition."""
+        return [run for c in self.conditions.values() for seeds in c.runs.values() for run in seeds]
+
+    @property
+    def scored_on(self) -> str:
+        """Which evaluations the curves show: on held-out heaps, wherever a run has them."""
+        return next((k for k in EVALUATIONS if any(run.records.get(k) for run in self.runs)), "")
+
+    @property
+    def missing(self) -> list[str]:
+        """What the plan asks for and the folder has no scores of, such as "single: ddpg-seed3"."""
+        plan = self.plan or {}
+        found = {
+            (condition.name, f"{one.name}-seed{one.seed}" if one.trained else one.name)
+            for condition in self.conditions.values()
+            for one in condition.scored
+        }
+        runs = [f"{v}-seed{s}" for v in plan.get("variants", ()) for s in plan.get("seeds", ())]
+        expected = {
+            (str(condition), str(name))
+            for condition in plan.get("conditions", ())
+            for name in (*runs, *plan.get("references", ()))
+        }
+        return [f"{condition}: {name}" for condition, name in sorted(expected - found)]
+
+
+def read_experiment(*sources: Path) -> Experiment:
+    """Read a sweep's folder, or everything that was evaluated and trained under some places.
+
+    Raises:
+        MechSearchError: If a file is damaged or belongs elsewhere, nothing was scored, or a sweep's
+            folder is not the only source.
+    """
+    if not any((source / PLAN_FILE).is_file() for source in sources):
+        return _loose(sources)
+    if len(sources) > 1:
+        raise MechSearchError(f"{len(sources)} sources; a sweep's folder is reported by itself")
+    (folder,) = sources
+    plan = read_record(folder / PLAN_FILE, "plan of a sweep")
+    conditions = [_planned(path) for path in folder.iterdir() if path.is_dir()]
+    conditions = [condition for condition in conditions if condition.policies]
+    if not conditions:
+        raise MechSearchError(f"no evaluation (.npz) in {folder}/*/{EVALUATIONS_FOLDER} yet")
+    return Experiment(plan, _by_name(conditions))
+
+
+def ordered(names: Iterable[str]) -> list[str]:
+    """Return policies in the order of reports: the method, variants, teachers, ceiling, passive."""
+
+    def rank(name: str) -> tuple[int, int, str]:
+        # A name may go on with its seed, to be told from another.
+        plain = name.split(",")[0]
+        if plain in LISTED_FIRST:
+            return 0, LISTED_FIRST.index(plain), name
+        teacher, ceiling = name.startswith(TEACHER_PREFIX), name == CEILING
+        return (2 if teacher else 3 if ceiling else 4 if plain in PASSIVE else 1), 0, name
+
+    return sorted(names, key=rank)
+
+
+def distinct_names(headers: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a name for each evaluation that tells it from the others, no longer than needed."""
+    names = [str(header["name"]) for header in headers]
+    seeds = [h["training_seed"] if h["trained"] else h.get("seed", 0) for h in headers]
+    seeded = [f"{name}, seed {seed}" for name, seed in zip(names, seeds, strict=True)]
+    counted = [
+        f"{name}, {header['training_actions']:,} actions"
+        for name, header in zip(seeded, headers, strict=True)
+    ]
+    for better in (seeded, counted, [f"{name} ({i + 1})" for i, name in enumerate(counted)]):
+        names = [
+            new if names.count(old) > 1 else old for old, new in zip(names, better, strict=True)
+        ]
+    return names
+
+
+def _planned(folder: Path) -> Condition:
+    evaluations = folder / EVALUATIONS_FOLDER
+    files = episode_files([evaluations]) if evaluations.is_dir() else []
+    scored = [read_scored(path) for path in files]
+    for one in scored:
+        if one.header["condition"] != folder.name:
+            raise MechSearchError(
+                f"{one.path} is of {one.header['condition']} heaps; this folder is for "
+                f"{folder.name}"
+            )
+    runs_folder = folder / RUNS_FOLDER
+    directories = sorted(runs_folder.iterdir()) if runs_folder.is_dir() else []
+    # A run that has just begun has no log yet.
+    runs = [_named_run(path) for path in directories if (path / METRICS_FILE).exists()]
+    return _condition(folder.name, _longest(scored), runs)
+
+
+def _loose(sources: Sequence[Path]) -> Experiment:
+    groups: dict[str, list[ScoredPolicy]] = {}
+    for path in episode_files(sources):
+        one = read_scored(path)
+        groups.setdefault(str(one.header["condition"]), []).append(one)
+    if not groups:
+        raise MechSearchError(
+            f"no evaluation (.npz) under {', '.join(map(str, sources)) or 'nothing'}"
+        )
+    logs = dict.fromkeys(log for source in sources for log in sorted(source.rglob(METRICS_FILE)))
+    runs: dict[str, list[Run]] = {name: [] for name in groups}
+    for log in logs:
+        run = read_run(log.parent)
+        places = {name for name, g in groups.items() if g[0].header["heap_set"] == run.heap_set}
+        if not places and len(groups) > 1:
+            raise MechSearchError(
+                f"{log.parent} does not say that it learnt from the heaps of one of the conditions "
+                f"{', '.join(groups)}; report it with the evaluations of its own condition alone"
+            )
+        runs[next(iter(places or groups))].append(run)
+    return Experiment(
+        None, _by_name(_condition(name, _told_apart(g), runs[name]) for name, g in groups.items())
+    )
+
+
+def _condition(name: str, scored: Sequence[ScoredPolicy], runs: Sequence[Run]) -> Condition:
+    for one in scored:
+        for fact in ("heap_set", "split"):
+            if one.header[fact] != scored[0].header[fact]:
+                raise MechSearchError(
+                    f"{one.path} has {fact} {one.header[fact]} and {scored[0].path.name} has "
+                    f"{scored[0].header[fact]}; expected the same in one condition"
+                )
+    return Condition(name, _grouped(scored, lambda one: one.name), _grouped(runs, lambda r: r.name))
+
+
+def _by_name(conditions: Iterable[Condition]) -> dict[str, Condition]:
+    known = sorted(conditions, key=lambda one: (one.name != "single", one.name))
+    return {condition.name: condition for condition in known}
+
+
+def _longest(scored: Iterable[ScoredPolicy]) -> list[ScoredPolicy]:
+    """Return for each policy and seed the scores after most training."""
+    kept: dict[tuple[str, int], ScoredPolicy] = {}
+    for one in scored:
+        other = kept.get((one.name, one.seed))
+        if other and other.actions == one.actions:
+            raise MechSearchError(
+                f"{other.path} and {one.path.name} are both {one.name}, seed {one.seed}, "
+                f"after {one.actions:,} actions; expected one of them"
+            )
+        if other is None or one.actions > other.actions:
+            kept[one.name, one.seed] = one
+    return [kept[key] for key in sorted(kept)]
+
+
+def _told_apart(scored: Iterable[ScoredPolicy]) -> list[ScoredPolicy]:
+    """Return policies whose seeds share a name, unless a seed comes more than once."""
+    found: list[ScoredPolicy] = []
+    for seeds in _grouped(sorted(scored, key=lambda o: o.seed), lambda one: one.name).values():
+        if len({one.seed for one in seeds}) < len(seeds):
+            names = distinct_names([one.header for one in seeds])
+            seeds = tuple(
+                replace(one, header={**one.header, "name": name})
+                for one, name in zip(seeds, names, strict=True)
+            )
+        found += seeds
+    return found
+
+
+def _named_run(directory: Path) -> Run:
+    run = read_run(directory)
+    if directory.name != f"{run.name}-seed{run.seed}":
+        raise MechSearchError(
+            f"{directory} holds the run {run.name}-seed{run.seed} by its {CONFIG_FILE}; expected "
+            "the run that the folder is named after"
+        )
+    return run
+
+
+def _grouped(items: Sequence[Item], name: Callable[[Item], str]) -> dict[str, tuple[Item, ...]]:
+    names = ordered({name(item) for item in items})
+    return {one: tuple(item for item in items if name(item) == one) for one in names}

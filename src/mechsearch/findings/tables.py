@@ -1,0 +1,176 @@
+"""Tables as data: numbers in the units that people read, policies in rows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate
+
+Scores = Mapping[str, Estimate]
+MINUS = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True)
+class Display:
+    """How a metric is shown.
+
+    Attributes:
+        label: With its unit.
+        scale: Factor from the recorded unit to the shown one.
+        digits: After the decimal point.
+    """
+
+    label: str
+    scale: float
+    digits: int
+
+
+DISPLAYS = {
+    "reward": Display("reward", 1, 1),
+    "visibility_change": Display("visibility gained", 1, 2),
+    "uncovered_rate": Display("uncovered [%]", 100, 0),
+    "episode_actions": Display("actions", 1, 1),
+    "clutter_moved_m": Display("clutter moved [cm]", 100, 1),
+    "target_moved_m": Display("target moved [cm]", 100, 1),
+    "graspability_change": Display("graspability gained", 1, 2),
+    "retrieval_before": Display("retrieved at the start [%]", 100, 0),
+    "retrieval_after": Display("retrieved at the end [%]", 100, 0),
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows and columns; the first column names the rows.
+
+    Attributes:
+        caption: What the table shows.
+        columns: Their headings (C,).
+        rows: Cells (R, C); a line break parts a number from its interval.
+        marks: What each cell after the first means (R, C - 1): "better", "worse" or "".
+        words: Whether the cells are sentences rather than numbers.
+        widths: Share of each column in the width (C,) on paper; empty leaves it to the cells.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    marks: Sequence[Sequence[str]] = ()
+    words: bool = False
+    widths: Sequence[float] = ()
+
+
+def display(metric: str) -> Display:
+    """Return how a metric is shown; reward terms are shown as rewards are."""
+    return DISPLAYS.get(metric, Display(metric.removeprefix("term_").replace("_", " "), 1, 1))
+
+
+def number(metric: str, value: float, signed: bool = False) -> str:
+    """Return a value of a metric in its shown unit, with a true minus sign."""
+    shown = display(metric)
+    text = f"{value * shown.scale + 0.0:{'+' if signed else ''}.{shown.digits}f}"
+    if float(text) == 0:
+        text = text.lstrip("+-")
+    return text.replace("-", MINUS)
+
+
+def cell(metric: str, estimate: Estimate | None, signed: bool = False) -> str:
+    """Return a mean with its interval on a second line; nothing where it was not measured."""
+    if estimate is None:
+        return ""
+    mean, low, high = _shown(metric, estimate, signed)
+    return mean if np.isnan(estimate.ci_low) else f"{mean}\n{low} to {high}"
+
+
+def difference_text(metric: str, estimate: Estimate) -> str:
+    """Return a difference in one line, with its interval if it has one."""
+    return _in_line(estimate, _shown(metric, estimate, signed=True))
+
+
+def percent(estimate: Estimate) -> str:
+    """Return a share, with its interval if it has one."""
+    ends = (estimate.mean, estimate.ci_low, estimate.ci_high)
+    # What rounds to nothing has no sign.
+    return _in_line(estimate, [f"{round(end, 2) + 0.0:.0%}".replace("-", MINUS) for end in ends])
+
+
+def score_table(
+    scores: Mapping[str, Scores],
+    caption: str = "Scores",
+    facts: Mapping[str, Sequence[str]] | None = None,
+) -> Table:
+    """Return policies in rows, and `METRICS` and those of `GRASP_METRICS` there are in columns.
+
+    Args:
+        scores: Of each policy, by its name.
+        caption: Of the table.
+        facts: Columns to put before the scores: of each policy, by their headings.
+    """
+    grasped = [name for name in GRASP_METRICS if any(name in row for row in scores.values())]
+    metrics = (*METRICS, *grasped)
+    before = facts or {}
+    rows = [
+        (
+            name,
+            *(column[i] for column in before.values()),
+            *(cell(metric, row.get(metric)) for metric in metrics),
+        )
+        for i, (name, row) in enumerate(scores.items())
+    ]
+    return Table(caption, ("policy", *before, *(display(m).label for m in metrics)), tuple(rows))
+
+
+def terms_table(scores: Mapping[str, Scores], caption: str = "Reward terms") -> Table:
+    """Return policies in rows and the terms of the reward, with their sum, in columns."""
+    terms = dict.fromkeys(m for row in scores.values() for m in row if m.startswith("term_"))
+    columns = ("policy", *(display(term).label for term in terms), "reward")
+    rows = [
+        (name, *(cell(metric, row.get(metric)) for metric in (*terms, "reward")))
+        for name, row in scores.items()
+    ]
+    return Table(caption, columns, tuple(rows))
+
+
+def count_table(scores: Mapping[str, Mapping[int, Scores]], metric: str, where: str = "") -> Table:
+    """Return policies in rows and one metric by number of objects in columns.
+
+    Args:
+        scores: Of each policy, by its name and the number of objects.
+        metric: To show.
+        where: Words for the caption, such as " in single heaps".
+    """
+    counts = sorted({count for found in scores.values() for count in found})
+    rows = [
+        (name, *(cell(metric, found.get(count, {}).get(metric)) for count in counts))
+        for name, found in scores.items()
+    ]
+    columns = ("policy", *(f"{count} objects" for count in counts))
+    return Table(f"{display(metric).label}{where}, by number of objects", columns, tuple(rows))
+
+
+def to_text(table: Table) -> str:
+    """Return a table in plain columns, intervals behind their means, signs in ASCII."""
+    flat = [[_one_line(text) for text in row] for row in (table.columns, *table.rows)]
+    widths = [max(len(row[i]) for row in flat) for i in range(len(table.columns))]
+    lines = [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in flat
+    ]
+    rule = "  ".join("-" * width for width in widths)
+    text = "\n".join([table.caption, "", lines[0], rule, *lines[1:]]) + "\n"
+    return text.replace(MINUS, "-")
+
+
+def _shown(metric: str, estimate: Estimate, signed: bool) -> list[str]:
+    ends = (estimate.mean, estimate.ci_low, estimate.ci_high)
+    return [number(metric, end, signed) for end in ends]
+
+
+def _in_line(estimate: Estimate, shown: Sequence[str]) -> str:
+    mean, low, high = shown
+    return mean if np.isnan(estimate.ci_low) else f"{mean} ({low} to {high})"
+
+
+def _one_line(text: str) -> str:
+    mean, _, rest = text.partition("\n")
+    return f"{mean} ({rest})" if rest else mean
