@@ -254,7 +254,7 @@ def test_a_run_is_trained_continued_evaluated_and_packed(
     write_record(run / "inputs.json", kind, inputs)
     main(["train", "--resume", str(run), "--actions", "14"])
     assert "instead of 2.0.0: not the bits of a run" in capsys.readouterr().out
-    assert json.loads((run / "config.json").read_text())["actions"] == 14
+    assert json.loads((run / "config.json").read_text())["schedule"]["actions"] == 14
     out = tmp_path / "evaluations"
     table = tmp_path / "summary.csv"
     words = ["evaluate", str(run), "--heaps", str(heaps), "--out", str(out), "--workers", "1"]
