@@ -45,7 +45,7 @@ def test_a_picture_is_rendered_when_asked_for():
 
 
 def test_unknown_names_are_answered_with_the_choices():
-    with pytest.raises(MechSearchError, match=r"'test'.*train, held-out, all"):
+    with pytest.raises(MechSearchError, match=r"'test'.*held-out, train, all"):
         mechsearch.make_env(split="test")
     with pytest.raises(MechSearchError, match=r"'colour'.*camera"):
         mechsearch.make_env(colour=True)

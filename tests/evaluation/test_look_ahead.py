@@ -9,7 +9,7 @@ from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.look_ahead import LookAhead, LookAheadConfig, LookAheadPolicy, Planner
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, run
-from mechsearch.heaps.dataset import save
+from mechsearch.heaps.dataset import save_heaps
 from mechsearch.teachers import make_teachers
 
 
@@ -17,7 +17,7 @@ from mechsearch.teachers import make_teachers
 def heap_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     embedded = embedded_heaps("single")
     path = tmp_path_factory.mktemp("heaps") / "three.parquet"
-    save(path, embedded.held_out[:3], embedded.manifest)
+    save_heaps(path, embedded.held_out[:3], embedded.manifest)
     return path
 
 

@@ -24,7 +24,7 @@ from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
+from mechsearch.objects.meshes.cache import model_from_npz, model_to_npz
 from mechsearch.push_values.policy import (
     PushPolicy,
     PushPolicyConfig,
@@ -127,12 +127,12 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
 
     actor = "actor.safetensors"
     of_run = ("config.json", "metrics.jsonl", last)
-    record_format, archive_format = (records, "RECORD"), (weights, "FORMAT")
+    record_format, archive_format = (records, "RECORD"), (weights, "ARCHIVE_FORMAT")
     kinds = {
         "heap set": Kind(
             "heaps.parquet",
-            lambda f: dataset.save(f / "heaps.parquet", [covered] * 3, manifest),
-            lambda f: dataset.load(f / "heaps.parquet"),
+            lambda f: dataset.save_heaps(f / "heaps.parquet", [covered] * 3, manifest),
+            lambda f: dataset.load_heaps(f / "heaps.parquet"),
             strict=False,
         ),
         "run configuration": Kind(

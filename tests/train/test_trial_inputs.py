@@ -6,13 +6,13 @@ import pytest
 
 pytest.importorskip("torch")
 
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.train.trial import TrialInputs, _record
 
 
 def recorded(heaps, run):
     run.mkdir(parents=True)
-    _record(TrialInputs(heaps, "household"), load(heaps), run, False, {})
+    _record(TrialInputs(heaps, "household"), load_heaps(heaps), run, False, {})
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, models_of, open_mapper, say, wrote
 from mechsearch.env.register import embedded_file
 from mechsearch.evaluation import episodes, summary
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
@@ -92,7 +92,7 @@ class Evaluate(Command):
             check_place(self.summary)
         grasping = self._grasping()
         evaluations = []
-        with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
+        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
             for policy in self.policies:
                 evaluation = record(self._plan(policy), self.out, workers, mapper)
                 if grasping:

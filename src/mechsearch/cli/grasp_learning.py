@@ -15,7 +15,7 @@ from mechsearch.grasp.learning.grasp_set import OUTCOMES, load_grasps
 from mechsearch.grasp.learning.label import LabelConfig, label
 from mechsearch.grasp.learning.metrics import Verdict, judge, paired_gain, reliability
 from mechsearch.grasp.network import load_network
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.report.reliability import draw_reliability
 from mechsearch.report.tables import Table, to_text
 
@@ -42,7 +42,7 @@ class Label(Command):
 
     def run(self) -> None:
         """Label, and say what became of the grasps."""
-        heap_set = load(self.heaps)
+        heap_set = load_heaps(self.heaps)
         objects = self.objects or str(heap_set.manifest["config"]["objects"])
         with bars() as progress:
             folder = label(heap_set, objects, self.config, self.out, self.workers, progress)

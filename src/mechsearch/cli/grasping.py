@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
 from mechsearch.files import write_whole
 from mechsearch.grasp.film import lift_strip
 from mechsearch.grasp.image_file import read_view
@@ -23,7 +23,7 @@ from mechsearch.grasp.view import (
     view_of_heap,
 )
 from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report.tables import Table, to_text
@@ -98,7 +98,7 @@ class Score(Command):
 
     def _score_heaps(self, network: GraspNetwork, path: Path) -> list[Image.Image]:
         heap_set, heaps = chosen_heaps(path, self.objects, self.split, self.limit)
-        known = objects_of(heap_set, self.objects).models
+        known = object_set(self.objects or heap_set.objects).models
         rows, found, pictures = [], [], []
         with bars() as progress:
             for i, heap in enumerate(heaps):
@@ -158,7 +158,7 @@ class Lift(Command):
         network = load_network(self.network)
         heap_set, heaps = chosen_heaps(self.heaps, self.objects, self.split, self.limit)
         spec = self.objects or str(heap_set.manifest["config"]["objects"])
-        known = objects_of(heap_set, self.objects).models
+        known = object_set(self.objects or heap_set.objects).models
         tasks, scores = [], []
         with bars() as progress:
             for i, heap in enumerate(heaps):
@@ -223,8 +223,8 @@ def chosen_heaps(path: Path, objects: str, split: str, limit: int) -> tuple[Heap
     Raises:
         MechSearchError: If the objects differ, or split or limit do not fit the set.
     """
-    heap_set = load(path)
-    check_objects(heap_set, objects_of(heap_set, objects))
+    heap_set = load_heaps(path)
+    check_objects(heap_set, object_set(objects or heap_set.objects))
     splits = {"held-out": heap_set.held_out, "train": heap_set.train, "all": list(heap_set.heaps)}
     if split not in splits:
         raise MechSearchError(f"unknown split {split!r}; choose one of {', '.join(splits)}")

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from mechsearch.cli.command import WORKERS, Command, say, spread, wrote
+from mechsearch.cli.command import WORKERS, Command, open_mapper, say, wrote
 from mechsearch.cli.graspability import Grasping
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.experiments.carry_out import carry_out
@@ -19,7 +19,7 @@ from mechsearch.experiments.status import (
     status_of,
 )
 from mechsearch.grasp.network import load_network
-from mechsearch.processes import map_in_order, map_long_work, silent
+from mechsearch.processes import silent
 from mechsearch.report.tables import Table, to_text
 
 
@@ -88,10 +88,9 @@ class Sweep(Command):
         if plan.grasps:
             # Refused before hours of work rather than after them.
             load_network(_network(plan))
-        with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
-            long = map_long_work if mapper is map_in_order else mapper
+        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
             grasp, tell = Grasped(_network(plan)), _Teller()
-            found = carry_out(plan, self.out, workers, long, grasp, tell, self.only)
+            found = carry_out(plan, self.out, workers, mapper, grasp, tell, self.only)
         say(to_text(_table(found)))
         _say_reasons(found)
         wrote(folder.summary)

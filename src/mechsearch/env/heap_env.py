@@ -157,18 +157,26 @@ class HeapEnv(gymnasium.Env[Any, Array]):
 
     @property
     def heap(self) -> Heap:
-        """The heap of the current episode."""
+        """The heap of the current episode.
+
+        Raises:
+            MechSearchError: If none has begun.
+        """
+        if self._heap_index < 0:
+            raise MechSearchError("no episode has begun; call reset first")
         return self.heaps[self._heap_index]
 
     @property
     def world(self) -> World:
         """The physics of the current episode, for measurements; stepping it is cheating."""
+        _ = self.heap
         return self._world
 
     @property
     def state(self) -> HeapState:
         """The true state."""
-        return HeapState(self._poses.copy(), self._world.pusher_position, self._occlusion)
+        position = self.world.pusher_position
+        return HeapState(self._poses.copy(), position, self._occlusion)
 
     @property
     def actions_taken(self) -> int:
@@ -243,13 +251,14 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
         if self.render_mode != "rgb_array":
             return None
+        _ = self.heap
         return self._frame(256, colour=True).rgb
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that the rest of the episode depends on, as arrays."""
         return {
             "heap": np.array(self._heap_index),
-            "world": self._world.snapshot(),
+            "world": self.world.snapshot(),
             "poses": self._poses.copy(),
             "present": self._present.copy(),
             "occlusion": np.array(self._occlusion),

@@ -10,12 +10,9 @@ from gymnasium.vector import AutoresetMode
 from mechsearch import heaps as heap_sets
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.vector.vector_env import VectorHeapEnv
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps
 from mechsearch.heaps.heap import check_condition
-from mechsearch.objects.catalog import load_object_set
 from mechsearch.types import MechSearchError
-
-SPLITS = ("train", "held-out", "all")
 
 
 def embedded_file(condition: str) -> Path:
@@ -27,7 +24,7 @@ def embedded_file(condition: str) -> Path:
 
 def embedded_heaps(condition: str) -> HeapSet:
     """Return the small heap set of household objects that the package holds."""
-    return load(embedded_file(condition))
+    return load_heaps(embedded_file(condition))
 
 
 def make_env(
@@ -45,7 +42,7 @@ def make_env(
         condition: "single" or "dual"; chooses among the embedded heaps.
         heaps: Heap set file; None takes the embedded heaps of household objects.
         objects: Object set that the heaps were made with.
-        split: "train", "held-out" or "all" of the heaps.
+        split: "held-out", "train" or "all" of the heaps.
         config: The task.
         render_mode: "rgb_array" or None.
         settings: Fields of the configuration to replace, such as `privileged=True`.
@@ -53,19 +50,16 @@ def make_env(
     Raises:
         MechSearchError: If a name or setting is unknown, or heaps and objects do not fit.
     """
-    if split not in SPLITS:
-        raise MechSearchError(f"unknown split {split!r}; choose one of {', '.join(SPLITS)}")
-    heap_set = embedded_heaps(condition) if heaps is None else load(Path(heaps))
-    object_set = load_object_set(objects)
-    check_objects(heap_set, object_set)
-    chosen = {"train": heap_set.train, "held-out": heap_set.held_out, "all": list(heap_set.heaps)}
+    file = embedded_file(condition) if heaps is None else Path(heaps)
+    heap_set, object_set = open_heaps(file, objects)
+    chosen = [heap_set.heaps[i] for i in heap_set.choose(split)]
     base = config or HeapEnvConfig(camera=heap_set.camera)
     unknown = [key for key in settings if key not in base.__dataclass_fields__]
     if unknown:
         raise MechSearchError(
             f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
         )
-    return HeapEnv(chosen[split], object_set, replace(base, **settings), render_mode)
+    return HeapEnv(chosen, object_set, replace(base, **settings), render_mode)
 
 
 def make_vector_env(

@@ -17,7 +17,7 @@ from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.files.fingerprint import fingerprint
 from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.dataset import HeapSet, check_objects, load
+from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import (
     Failure,
@@ -234,7 +234,7 @@ class _Episode:
 @lru_cache(maxsize=1)
 def _prepared(plan: EvaluationPlan) -> tuple[HeapEnv, HeapSet, tuple[int, ...], Policy]:
     """Return a plan's environment, heap set, heap indices and policy, once for each process."""
-    heap_set = load(plan.heaps)
+    heap_set = load_heaps(plan.heaps)
     objects = load_object_set(plan.objects or heap_set.manifest["config"]["objects"])
     check_objects(heap_set, objects)
     policy = make_policy(plan.policy)

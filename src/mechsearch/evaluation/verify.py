@@ -11,7 +11,7 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.rollout import EPISODE_LIMIT, run_episode
 from mechsearch.files import record_from_json
-from mechsearch.heaps.dataset import check_objects, load
+from mechsearch.heaps.dataset import check_objects, load_heaps
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import (
     Failure,
@@ -68,7 +68,7 @@ def replay_all(
     Raises:
         MechSearchError: If the heap set is another, or the objects are.
     """
-    heap_set = load(heaps)
+    heap_set = load_heaps(heaps)
     if heap_set.hash != evaluation.header["heap_set"]:
         raise MechSearchError(
             f"{heaps} has the hash {heap_set.hash[:12]}; these episodes ran on the heap set "
@@ -163,4 +163,4 @@ class _Recorded:
 @lru_cache(maxsize=1)
 def _prepared(play: _Play) -> HeapEnv:
     """Return the environment, once for each process."""
-    return HeapEnv(load(play.heaps).heaps, load_object_set(play.objects), play.config)
+    return HeapEnv(load_heaps(play.heaps).heaps, load_object_set(play.objects), play.config)

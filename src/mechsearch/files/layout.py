@@ -1,4 +1,9 @@
-"""Every file name of a run directory and of a sweep's folder, once."""
+"""Every file name of a run directory and of a sweep's folder, once, and the user's cache folder."""
+
+import os
+from pathlib import Path
+
+from platformdirs import user_cache_dir
 
 CONFIG_FILE = "config.json"
 """What a run is: its task, its algorithm and its schedule."""
@@ -28,3 +33,8 @@ SUMMARY_FILE = "summary.csv"
 CURVES_FILE = "curves.csv"
 RUNS_FOLDER = "runs"
 EVALUATIONS_FOLDER = "evaluations"
+
+
+def cache_folder() -> Path:
+    """Return the user's cache folder, or the one that MECHSEARCH_CACHE names."""
+    return Path(os.environ.get("MECHSEARCH_CACHE") or user_cache_dir("mechsearch"))

@@ -18,7 +18,7 @@ from torch.optim import Optimizer
 from mechsearch.files import write_whole
 from mechsearch.types import MechSearchError
 
-FORMAT = 1
+ARCHIVE_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def save_archive(path: Path, archive: Archive) -> None:
     """Write an archive with checksums, whole or not at all."""
     tensors = {name: tensor.contiguous() for name, tensor in archive.tensors.items()}
     checks = {name: _checksum(tensor) for name, tensor in tensors.items()}
-    meta = {"kind": archive.kind, "format": FORMAT, "checks": checks, **archive.meta}
+    meta = {"kind": archive.kind, "format": ARCHIVE_FORMAT, "checks": checks, **archive.meta}
     text = json.dumps(meta, sort_keys=True)
     # One entry alone: safetensors writes several in no fixed order.
     header = {"mechsearch": f"{crc32(text.encode())} {text}"}
@@ -149,9 +149,10 @@ def load_archive(path: Path, kind: str) -> Archive:
         raise MechSearchError(f"the {kind} at {path} is damaged: {error}") from None
     meta = _verified(header, tensors, f"the {kind} at {path}")
     found = (meta.pop("kind"), meta.pop("format"))
-    if found != (kind, FORMAT):
+    if found != (kind, ARCHIVE_FORMAT):
         raise MechSearchError(
-            f"{path} holds a {found[0]} of format {found[1]}; expected a {kind} of format {FORMAT}"
+            f"{path} holds a {found[0]} of format {found[1]}; expected a {kind} of format "
+            f"{ARCHIVE_FORMAT}"
         )
     return Archive(kind, tensors, meta)
 

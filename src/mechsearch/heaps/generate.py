@@ -23,18 +23,11 @@ from mechsearch.files import (
     write_text,
 )
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
-from mechsearch.heaps.dataset import FORMAT, HeapSet, object_set, save
+from mechsearch.heaps.dataset import HEAPS_FORMAT, HeapSet, object_set, save_heaps
 from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
 from mechsearch.heaps.quota import Drop, Quota, drops_until_full
-from mechsearch.objects.catalog import set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.processes import (
-    Failure,
-    Mapper,
-    Progress,
-    map_in_order,
-    silent,
-)
+from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.sim.scene import PhysicsConfig, Wall
@@ -158,7 +151,7 @@ def _generate_alone(
             progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
         if all(one.full for one in quotas.values()):
             break
-    heap_set = save(path, *_collected(config, objects, list(quotas.values())))
+    heap_set = save_heaps(path, *_collected(config, objects, list(quotas.values())))
     journal.unlink()
     journal.with_suffix(".json").unlink()
     return heap_set
@@ -170,10 +163,10 @@ def _collected(
     """Return all heaps and their manifest."""
     heaps = [heap for quota in quotas for heap in _hold_out_half(quota.heaps)]
     manifest = {
-        "format": FORMAT,
+        "format": HEAPS_FORMAT,
         "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
         "engine": ENGINE_VERSION,
-        "object_hashes": set_hashes(objects),
+        "object_hashes": objects.hashes,
         "attempts": {str(quota.count): quota.tried for quota in quotas},
         "acceptance_rate": len(heaps) / max(sum(quota.tried for quota in quotas), 1),
     }
@@ -304,7 +297,7 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
     identity = {
         "config": {**asdict(config), "counts": list(config.object_counts)},
         "engine": ENGINE_VERSION,
-        "object_hashes": dict(set_hashes(objects)),
+        "object_hashes": objects.hashes,
     }
     header = journal.with_suffix(".json")
     if path.exists():

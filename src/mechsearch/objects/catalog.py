@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
+from mechsearch.files.layout import cache_folder
 from mechsearch.objects.folder import load_folder
 from mechsearch.objects.household.object_set import household
-from mechsearch.objects.meshes.cache import cache_folder
-from mechsearch.objects.meshes.limits import FLAGGED_ERROR
 from mechsearch.objects.model import ObjectSet
 from mechsearch.types import MechSearchError
 
@@ -31,20 +30,6 @@ def load_object_set(spec: str | Path, workers: int | None = None) -> ObjectSet:
             f"no object set {str(spec)!r}; choose household, ycb, or a folder of meshes with masses"
         )
     return load_folder(folder, workers=workers)
-
-
-def set_hashes(objects: ObjectSet) -> dict[str, str]:
-    """Return the content hash of each object in a set, by name."""
-    return {name: model.content_hash for name, model in objects.models.items()}
-
-
-def flagged(objects: ObjectSet) -> dict[str, float]:
-    """Return hull errors [m], by name, of the objects whose parts stray over 5 mm from the mesh."""
-    return {
-        name: model.hull_error
-        for name, model in objects.models.items()
-        if model.hull_error > FLAGGED_ERROR
-    }
 
 
 def ycb_folder() -> Path:

@@ -10,7 +10,6 @@ from mechsearch.processes.mapping import (
     Result,
     attempted,
     map_in_order,
-    map_long_work,
     raise_failure,
     silent,
 )
@@ -30,7 +29,6 @@ __all__ = [
     "Worker",
     "attempted",
     "map_in_order",
-    "map_long_work",
     "raise_failure",
     "replies",
     "silent",

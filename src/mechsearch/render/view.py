@@ -17,7 +17,7 @@ _NEAREST = 0.01
 """Objects that come nearer to the camera's plane [m] may appear anywhere."""
 
 
-Block = list[int]
+PixelBlock = list[int]
 """A rectangle of pixels: top, bottom, left and right, the second and last beyond it. It may reach
 beyond the frame, and is empty where an end is not after its beginning."""
 
@@ -81,16 +81,16 @@ def corners_of(bodies: tuple[Body, ...]) -> Floats:
     return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
 
 
-def overlaps(blocks: NDArray[np.intp], block: Block) -> list[Block]:
+def overlaps(blocks: NDArray[np.intp], block: PixelBlock) -> list[PixelBlock]:
     """Return the parts of some blocks (n, 4) that lie in another, counted from its corner."""
     top, bottom, left, right = block
     corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
     return _clipped(blocks - corner, np.array(size))
 
 
-def _clipped(blocks: NDArray[np.intp], size: NDArray[np.intp]) -> list[Block]:
+def _clipped(blocks: NDArray[np.intp], size: NDArray[np.intp]) -> list[PixelBlock]:
     # `np.clip` takes four times as long for so few numbers.
-    clipped: list[Block] = np.minimum(np.maximum(blocks, 0), size).tolist()
+    clipped: list[PixelBlock] = np.minimum(np.maximum(blocks, 0), size).tolist()
     return clipped
 
 
@@ -110,7 +110,7 @@ class View:
         """Directions (H, W, 3) of the frame's rays, as long as 1 m of depth; only to be read."""
         return self._directions([0, self.height, 0, self.width])
 
-    def rays(self, block: Block) -> NDArray[np.float32]:
+    def rays(self, block: PixelBlock) -> NDArray[np.float32]:
         """Return the directions (h, w, 3) of a block's rays; only to be read."""
         top, bottom, left, right = block
         if top >= 0 and bottom <= self.height and left >= 0 and right <= self.width:
@@ -126,11 +126,11 @@ class View:
             blocks[near] = [0, self.height, 0, self.width]
         return blocks
 
-    def visible_blocks(self, projection: Projection, bodies: slice) -> list[Block]:
+    def visible_blocks(self, projection: Projection, bodies: slice) -> list[PixelBlock]:
         """Return where in the frame some bodies may appear."""
         return _clipped(self.blocks(projection, bodies), self._size)
 
-    def _directions(self, block: Block) -> NDArray[np.float32]:
+    def _directions(self, block: PixelBlock) -> NDArray[np.float32]:
         camera = self.camera
         top, bottom, left, right = block
         u = (np.arange(left, right) - camera.cx) / camera.fx

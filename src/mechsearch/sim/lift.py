@@ -14,7 +14,7 @@ import numpy as np
 from mechsearch.geometry import apply, rotation_from_quaternion, transform_from_pose
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.scene import PhysicsConfig, compile_scene
+from mechsearch.sim.scene import PhysicsConfig, compile_scene, reset_data, warned
 from mechsearch.sim.travel import Outlines
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats, MechSearchError
@@ -142,7 +142,7 @@ class LiftWorld:
 
     def _reset(self, poses: Floats, grasp: Floats, friction: float | None) -> None:
         model, data = self._model, self._data
-        mujoco.mj_resetData(model, data)
+        reset_data(model, data)
         body = self._bodies[0]
         model.body_pos[body], model.body_quat[body] = grasp[:3], grasp[3:]
         model.geom_friction[self._geoms, 0] = (
@@ -297,7 +297,7 @@ class _Attempt:
         """Return whether the physics went wrong."""
         data = self.data
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        return not finite or bool(data.warning.number[: int(mujoco.mjtWarning.mjNWARNING)].any())
+        return not finite or warned(data)
 
     def _gripper_poses(self) -> Floats:
         """Return the poses (3, 7) of the rendered palm and fingers."""

@@ -10,7 +10,7 @@ from typing import Any
 from mechsearch.files import alone, read_record, write_record
 from mechsearch.files.fingerprint import crossed, fingerprint
 from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE
-from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
 from mechsearch.processes import Progress, silent
 from mechsearch.train.assemble import assemble
 from mechsearch.train.config import TrainConfig
@@ -72,7 +72,7 @@ def run_trial(
 def _run_alone(
     config: TrainConfig, inputs: TrialInputs, directory: Path, resume: bool, progress: Progress
 ) -> dict[str, float]:
-    heap_set = load(inputs.heaps)
+    heap_set = load_heaps(inputs.heaps)
     objects = object_set(inputs.objects or str(heap_set.manifest["config"]["objects"]))
     check_objects(heap_set, objects)
     _record(inputs, heap_set, directory, resume, fingerprint(config.threads))

@@ -18,7 +18,7 @@ MOST_FAILED_STARTS = 10
 
 
 @dataclass
-class Outcome:
+class StepResult:
     """What an environment has to tell when its turn comes."""
 
     reward: float = 0.0
@@ -27,7 +27,7 @@ class Outcome:
     info: dict[str, Any] = field(default_factory=dict)
 
 
-class Lane:
+class SubEnv:
     """Makes an environment's requests, and takes the replies.
 
     All its randomness is here, so that its episodes depend neither on its worker nor on others.
@@ -36,7 +36,7 @@ class Lane:
         kept: Its last trusted observation.
         rng: Its generator; None before the first reset.
         over: Whether it must be reset before the next action.
-        outcome: What the last action or reset led to.
+        result: What the last action or reset led to.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Lane:
         self.kept = kept
         self.rng: np.random.Generator | None = None
         self.over = True
-        self.outcome = Outcome()
+        self.result = StepResult()
         self._env, self._shared, self._quarantine = env, shared, quarantine
         self._same_step = same_step
         self._heap, self._occlusion = 0, 1.0
@@ -74,7 +74,7 @@ class Lane:
         """
         if seed is not None or self.rng is None:
             self.rng, _ = seeding.np_random(seed)
-        self.outcome = Outcome()
+        self.result = StepResult()
         return self._begin(options)
 
     def act(self, action: Array) -> Act:
@@ -94,7 +94,7 @@ class Lane:
         else:
             self._keep()
         assert isinstance(value, Acted)
-        self.outcome = Outcome(*value)
+        self.result = StepResult(*value)
         self.over = value.terminated or value.truncated
         self._occlusion = value.info["occlusion"]
         return self._begin_next() if self.over and self._same_step else None
@@ -108,10 +108,10 @@ class Lane:
 
     def _begin_next(self) -> Begin:
         """Begin the next episode in the same step; what the last one ended with stays in `info`."""
-        info = self.outcome.info
+        info = self.result.info
         final: dict[str, Any] = {key: row.copy() for key, row in self.kept.items()}
         failed = {k: info[k] for k in ("failure", "quarantined") if info.get(k) is not None}
-        self.outcome.info = {"final_obs": final, "final_info": info, **failed}
+        self.result.info = {"final_obs": final, "final_info": info, **failed}
         return self._begin({})
 
     def _take_begun(self, begin: Begin, value: Begun | Acted | Failure) -> Begin | None:
@@ -122,7 +122,7 @@ class Lane:
         self._beginning, self.over = None, False
         self.rng, self._heap = value.rng, begin.heap
         self._occlusion = value.info["occlusion"]
-        self.outcome.info |= value.info
+        self.result.info |= value.info
         return None
 
     def _begin_again(self, begin: Begin, failure: Failure) -> Begin:
@@ -132,7 +132,7 @@ class Lane:
         if name is None:
             return begin
         self._beginning = None
-        self.outcome.info["quarantined"] = name
+        self.result.info["quarantined"] = name
         if self._failed_starts >= MOST_FAILED_STARTS:
             raise MechSearchError(
                 f"no episode begins, tried {self._failed_starts} times; the last time on heap "

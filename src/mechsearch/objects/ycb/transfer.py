@@ -46,7 +46,7 @@ def fetch(
     url: str,
     partial: Path,
     patience: Patience,
-    advance: Callable[[int, int | None], None] = lambda have, total: None,
+    advance: Callable[[int], None] = lambda have: None,
 ) -> None:
     """Fetch `url` into `partial`, going on from what an earlier call left there.
 
@@ -56,7 +56,7 @@ def fetch(
         url: What to fetch.
         partial: Where it grows; its validator is kept beside it, ending in .etag.
         patience: Tries and waits.
-        advance: Called with the bytes had and the bytes in all (None when not known).
+        advance: Called with the bytes had.
 
     Raises:
         NotServed: If the server has no such file.
@@ -75,9 +75,7 @@ def fetch(
             time.sleep(patience.wait * 2 ** max(fruitless - 1, 0))
 
 
-def _attempt(
-    url: str, partial: Path, timeout: float, advance: Callable[[int, int | None], None]
-) -> None:
+def _attempt(url: str, partial: Path, timeout: float, advance: Callable[[int], None]) -> None:
     with _open(url, partial, timeout) as response:
         start = _start(response, partial)
         total = _total(response, start)
@@ -88,7 +86,7 @@ def _attempt(
             file.seek(start)
             for chunk in _chunks(response):
                 file.write(chunk)
-                advance(file.tell(), total)
+                advance(file.tell())
     _verify(partial, total, etag)
 
 
