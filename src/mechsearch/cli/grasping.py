@@ -22,9 +22,8 @@ from mechsearch.grasp.view import (
     check_opening,
     view_of_heap,
 )
-from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.heap import Heap, evenly_spread
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report.tables import Table, to_text
 from mechsearch.sim.gripper import Gripper

@@ -16,8 +16,8 @@ from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.evaluation.look_ahead import Planner
 from mechsearch.evaluation.policies import make_policy, run_config
 from mechsearch.files.fingerprint import fingerprint
-from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps
+from mechsearch.heaps.heap import evenly_spread
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import (
     Failure,

@@ -9,8 +9,7 @@ from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import map_in_order
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftConfig, LiftWorld, Outcome
-from mechsearch.sim.perturb import Perturbation, perturbed
+from mechsearch.sim.lift import LiftConfig, LiftWorld, Outcome, Perturbation, perturbed
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Floats
 

@@ -16,8 +16,7 @@ from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import map_in_order
 from mechsearch.sim.lift import Outcome
-from mechsearch.sim.settle import AWAKE, settle
-from mechsearch.sim.world import World
+from mechsearch.sim.world import AWAKE, World, settle
 from mechsearch.types import Floats
 
 

@@ -14,14 +14,13 @@ import pyarrow.parquet as pq
 
 from mechsearch.camera import preset
 from mechsearch.files import write_whole
-from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.heap import Heap, evenly_spread
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
-from mechsearch.sim.settle import REST_LIMIT, drift
+from mechsearch.sim.world import REST_LIMIT, drift
 from mechsearch.types import MechSearchError
 
 HEAPS_FORMAT = 1

@@ -31,9 +31,8 @@ from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.sim.scene import PhysicsConfig, Wall
-from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import ENGINE_VERSION, World
+from mechsearch.sim.world import ENGINE_VERSION, REST_LIMIT, World, drift, settle
 from mechsearch.types import Floats, MechSearchError
 
 DROPS = ("wall", "open")
@@ -216,10 +215,7 @@ def _walls(condition: str, count: int, rng: np.random.Generator) -> tuple[Wall, 
     x, y = rng.uniform(-0.02, 0.02, 2)
     angle, half = rng.uniform(0, 2 * np.pi), radius + rng.uniform(0.02, 0.04)
     dx, dy = half * np.cos(angle), half * np.sin(angle)
-    return (
-        Wall(float(x + dx), float(y + dy), radius),
-        Wall(float(x - dx), float(y - dy), radius),
-    )
+    return (Wall(float(x + dx), float(y + dy), radius), Wall(float(x - dx), float(y - dy), radius))
 
 
 def _orientation(

@@ -13,14 +13,7 @@ from typing import Any
 import ray
 from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError, RayTaskError
 
-from mechsearch.processes.mapping import (
-    Input,
-    Ledger,
-    Result,
-    attempted,
-    map_with,
-    raise_failure,
-)
+from mechsearch.processes.mapping import Input, Ledger, Result, attempted, map_with, raise_failure
 from mechsearch.processes.workers import START_LIMIT, STARTS, Asked, Failure, Reply
 from mechsearch.types import MechSearchError
 

@@ -167,12 +167,7 @@ def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
 
 
 def _add_hull(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    name: str,
-    points: Floats,
-    friction: float,
-    bits: int,
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: Floats, friction: float, bits: int
 ) -> None:
     mesh = spec.add_mesh()
     mesh.name = name

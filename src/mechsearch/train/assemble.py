@@ -10,8 +10,8 @@ from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.evaluation.metrics import mean_interval, score
 from mechsearch.evaluation.rollout import run
 from mechsearch.grasp.network import load_network
-from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet
+from mechsearch.heaps.heap import evenly_spread
 from mechsearch.objects.model import ObjectSet
 from mechsearch.teachers import make_teachers
 from mechsearch.train.config import SHIPPED_NETWORK, TrainConfig

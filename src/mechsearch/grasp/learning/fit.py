@@ -26,7 +26,7 @@ from mechsearch.grasp.grid import ANGLES
 from mechsearch.grasp.learning.grasp_set import Grasps
 from mechsearch.grasp.learning.metrics import Verdict, judge
 from mechsearch.grasp.network import GraspNetwork, ready, save_network
-from mechsearch.heaps.choice import evenly_spread
+from mechsearch.heaps.heap import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, MechSearchError
 

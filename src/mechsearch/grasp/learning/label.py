@@ -18,13 +18,11 @@ from mechsearch.grasp.grid import FIELD
 from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps, joined
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.grasp.view import GraspView, view_of_heap
-from mechsearch.heaps.choice import evenly_spread
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.heap import Heap, evenly_spread
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftWorld
-from mechsearch.sim.perturb import Perturbation, perturbed
+from mechsearch.sim.lift import LiftWorld, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError
 

@@ -69,9 +69,7 @@ def mustard_bottle() -> Solids:
     """Return a squeeze bottle with an oval body and a pointed spout."""
     oval = 0.050 / 0.085
     label = layers(
-        "f0b41c",
-        (window(-90, 120, 0.030, 0.090), "8c1d18"),
-        (window(-90, 76, 0.052, 0.070), WHITE),
+        "f0b41c", (window(-90, 120, 0.030, 0.090), "8c1d18"), (window(-90, 76, 0.052, 0.070), WHITE)
     )
     body = frustum(0.078, 0.085, 0.105, bands=12).painted(label)
     shoulder = frustum(0.085, 0.036, 0.030).painted(plain("f0b41c"))
@@ -87,9 +85,7 @@ def bleach_bottle() -> Solids:
     """Return a bottle with an oval body, a neck to one side and a grip with an opening."""
     white = plain(WHITE)
     label = layers(
-        WHITE,
-        (window(-90, 130, 0.025, 0.120), "1c5fa8"),
-        (window(-90, 90, 0.060, 0.095), "f0c419"),
+        WHITE, (window(-90, 130, 0.025, 0.120), "1c5fa8"), (window(-90, 90, 0.060, 0.095), "f0c419")
     )
     grip = tube(
         [(0.030, 0.128), (0.040, 0.165), (0.028, 0.196), (-0.006, 0.208)],

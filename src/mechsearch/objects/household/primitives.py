@@ -65,9 +65,7 @@ class Solid:
 
     def _mapped(self, matrix: Floats, offset: Floats) -> "Solid":
         return replace(
-            self,
-            hull=self.hull @ matrix.T + offset,
-            vertices=self.vertices @ matrix.T + offset,
+            self, hull=self.hull @ matrix.T + offset, vertices=self.vertices @ matrix.T + offset
         )
 
 

@@ -43,10 +43,7 @@ class Patience:
 
 
 def fetch(
-    url: str,
-    partial: Path,
-    patience: Patience,
-    advance: Callable[[int], None] = lambda have: None,
+    url: str, partial: Path, patience: Patience, advance: Callable[[int], None] = lambda have: None
 ) -> None:
     """Fetch `url` into `partial`, going on from what an earlier call left there.
 
