@@ -11,7 +11,6 @@ import pytest
 import safetensors.numpy
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from mechsearch.objects.masses import read_masses
 from PIL import Image
 
 from mechsearch.actor_critic.policy import load_actor
@@ -20,6 +19,7 @@ from mechsearch.files import read_json
 from mechsearch.grasp.image_file import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
+from mechsearch.objects.folder import read_masses
 from mechsearch.objects.meshes.cache import model_from_npz
 from mechsearch.objects.meshes.mesh_file import read_pieces
 from mechsearch.push_values.session import load_episode

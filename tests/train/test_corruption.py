@@ -114,7 +114,10 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         *(rng.normal(size=(4, 2, 7)), {"idle": np.ones(3)}, np.zeros(3), np.zeros(3)),
         *("uncovered", 50),
     )
-    manifest = {"format": dataset.FORMAT, "config": {"objects": "boxes", "camera": "overhead"}}
+    manifest = {
+        "format": dataset.HEAPS_FORMAT,
+        "config": {"objects": "boxes", "camera": "overhead"},
+    }
     inputs = {"heaps": "a.parquet", "heap_set": "ab12", "objects": "ycb"}
     plan = json.loads(json.dumps({**asdict(QUICK), "version": "1.0"}))
     over = "record of a finished run"
@@ -323,7 +326,7 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
         files.write_record(file, "training configuration", content)
         return
     with pytest.MonkeyPatch.context() as now:
-        now.setattr(weights, "FORMAT", 1)
+        now.setattr(weights, "ARCHIVE_FORMAT", 1)
         archive = weights.load_archive(file, f"mechsearch {name}")
     if name == "checkpoint":
         archive = replace(archive, meta={**archive.meta, "checkpoint": checkpoint.FORMAT})

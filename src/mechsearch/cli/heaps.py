@@ -114,7 +114,7 @@ def describe(heap_set: HeapSet) -> str:
     rows = tuple(
         (
             *map(str, (part.count, part.train, part.held_out)),
-            *(f"{share:.0%}" for share in (part.mean, part.lowest, part.highest)),
+            *(f"{share:.0%}" for share in part.occlusion),
         )
         for part in heap_set.summary()
     )

@@ -122,13 +122,7 @@ def kind_of(path: Path) -> str:
     Raises:
         MechSearchError: If the file is missing, damaged or not written by mechsearch.
     """
-    if not path.is_file():
-        raise MechSearchError(f"no trained policy at {path}")
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-    except (SafetensorError, ValueError, OSError) as error:
-        raise MechSearchError(f"{path} is damaged: {error}") from None
+    header, _ = _read(path, "trained policy", whole=False)
     return str(_meta(header, str(path))["kind"])
 
 
@@ -138,15 +132,7 @@ def load_archive(path: Path, kind: str) -> Archive:
     Raises:
         MechSearchError: If the file is missing, damaged or of another kind or format.
     """
-    if not path.is_file():
-        raise MechSearchError(f"no {kind} at {path}")
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            names = list(file.keys())
-            tensors = {name: file.get_tensor(name) for name in names}
-    except (SafetensorError, ValueError, OSError) as error:
-        raise MechSearchError(f"the {kind} at {path} is damaged: {error}") from None
+    header, tensors = _read(path, kind)
     meta = _verified(header, tensors, f"the {kind} at {path}")
     found = (meta.pop("kind"), meta.pop("format"))
     if found != (kind, ARCHIVE_FORMAT):
@@ -155,6 +141,18 @@ def load_archive(path: Path, kind: str) -> Archive:
             f"{ARCHIVE_FORMAT}"
         )
     return Archive(kind, tensors, meta)
+
+
+def _read(path: Path, kind: str, whole: bool = True) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Return the header and, of the whole, the tensors of a safetensors file."""
+    if not path.is_file():
+        raise MechSearchError(f"no {kind} at {path}")
+    try:
+        with safe_open(path, framework="pt") as file:
+            names = list(file.keys()) if whole else []
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in names}
+    except (SafetensorError, ValueError, OSError) as error:
+        raise MechSearchError(f"the {kind} at {path} is damaged: {error}") from None
 
 
 def _checksum(tensor: Tensor) -> int:

@@ -53,17 +53,13 @@ class CountSummary:
         count: Objects in each heap.
         train: How many are for training.
         held_out: How many are kept for evaluation.
-        mean: Occlusion of their targets.
-        lowest: Least of these.
-        highest: Greatest of these.
+        occlusion: Of their targets: mean, least and greatest.
     """
 
     count: int
     train: int
     held_out: int
-    mean: float
-    lowest: float
-    highest: float
+    occlusion: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +128,8 @@ class HeapSet:
         for count in sorted({heap.count for heap in self.heaps}):
             heaps = [heap for heap in self.heaps if heap.count == count]
             held_out, hidden = sum(h.held_out for h in heaps), [h.occlusion for h in heaps]
-            numbers = float(np.mean(hidden)), min(hidden), max(hidden)
-            found.append(CountSummary(count, len(heaps) - held_out, held_out, *numbers))
+            shares = float(np.mean(hidden)), min(hidden), max(hidden)
+            found.append(CountSummary(count, len(heaps) - held_out, held_out, shares))
         return found
 
 

@@ -160,7 +160,10 @@ def _collected(
     config: GenerateConfig, objects: ObjectSet, quotas: Sequence[Quota]
 ) -> tuple[list[Heap], dict[str, Any]]:
     """Return all heaps and their manifest."""
-    heaps = [heap for quota in quotas for heap in _hold_out_half(quota.heaps)]
+    # Every second heap is held out, so that each object count is halved.
+    heaps = [
+        replace(heap, held_out=i % 2 == 1) for quota in quotas for i, heap in enumerate(quota.heaps)
+    ]
     manifest = {
         "format": HEAPS_FORMAT,
         "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
@@ -280,11 +283,6 @@ def _lost(drop: Drop, failure: Failure) -> Drop:
     if failure.error is not None:
         raise failure.error
     return replace(drop, lost=failure.reason)
-
-
-def _hold_out_half(heaps: list[Heap]) -> list[Heap]:
-    """Hold out every second heap, so that each object count is halved."""
-    return [replace(heap, held_out=i % 2 == 1) for i, heap in enumerate(heaps)]
 
 
 def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Path:

@@ -155,7 +155,8 @@ class RayWorker:
         """Return what there is to tell after a wait; None for an actor that has just started."""
         value: Any
         try:
-            value = ray.get(self.reply) if _is_ready(self.reply) else Failure("worker hung")
+            ready, _ = ray.wait([self.reply], timeout=0)
+            value = ray.get(self.reply) if ready else Failure("worker hung")
         except (ActorDiedError, ActorUnavailableError):
             value = Failure("worker died")
         except RayTaskError as error:
@@ -183,10 +184,6 @@ def _replies(workers: Sequence[RayWorker]) -> Iterator[Reply[RayWorker]]:
             reply = worker.take()
             if reply is not None:
                 yield reply
-
-
-def _is_ready(reply: Any) -> bool:
-    return bool(ray.wait([reply], timeout=0)[0])
 
 
 def _versions() -> dict[str, str]:

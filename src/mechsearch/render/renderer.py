@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.body import NO_HIT, body_of
-from mechsearch.render.view import PixelBlock, Projection, View
+from mechsearch.render.visibility import PixelBlock, Projection, View
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1

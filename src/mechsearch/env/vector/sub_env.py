@@ -101,8 +101,8 @@ class SubEnv:
 
     def _begin(self, options: Mapping[str, Any]) -> Begin:
         assert self.rng is not None
-        heap, self.over, self._failed_starts = options.get("heap"), True, 0
-        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        self.over, self._failed_starts = True, 0
+        heap = self._quarantine.draw(self.rng, options.get("heap"))
         self._beginning = Begin(self._env, heap, self.rng, options)
         return self._beginning
 
@@ -138,9 +138,8 @@ class SubEnv:
                 f"no episode begins, tried {self._failed_starts} times; the last time on heap "
                 f"{name}: {failure.reason}"
             )
-        heap = begin.options.get("heap")
         assert self.rng is not None
-        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        heap = self._quarantine.draw(self.rng, begin.options.get("heap"))
         self._beginning = replace(begin, heap=heap, rng=self.rng)
         return self._beginning
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,57 +33,52 @@ def prepare_all(
     Raises:
         MechSearchError: If objects cannot be prepared; names every one of them.
     """
-    tasks = [_Task(source, cache_path(source)) for source in sources]
-    found = {task: cached(task.path) for task in tasks}
-    todo = [task for task in tasks if found[task] is None]
-    failures = []
+    paths = {source: cache_path(source) for source in sources}
+    found = {source: cached(path) for source, path in paths.items()}
+    todo = [source for source, done in found.items() if done is None]
     crew = min(workers or PROCESSORS, len(todo))
-    for task, outcome in zip(todo, map_in_order(_outcome, todo, crew, None, _lost), strict=True):
+    failures = []
+    for done, outcome in enumerate(map_in_order(_outcome, todo, crew, None, _lost), start=1):
+        source = todo[done - 1]
         if isinstance(outcome, MechSearchError):
             failures.append(str(outcome))
         elif outcome:
-            warnings.warn(f"{task.source.name} keeps one hull: {outcome}", stacklevel=3)
-        found[task] = cached(task.path)
-        progress(f"preparing, {task.source.name}", todo.index(task) + 1, len(todo))
+            warnings.warn(f"{source.name} keeps one hull: {outcome}", stacklevel=3)
+        found[source] = cached(paths[source])
+        progress(f"preparing, {source.name}", done, len(todo))
     if failures:
         raise MechSearchError("; ".join(sorted(failures)))
-    fresh = [found[task] for task in todo]
+    _warn_of_coarse([found[source] for source in todo])
+    lost = [source.name for source, done in found.items() if done is None]
+    if lost:
+        raise MechSearchError(f"cannot keep {', '.join(lost)} in the cache at {cache_folder()}")
+    return [prepared for prepared in found.values() if prepared is not None]
+
+
+def _warn_of_coarse(fresh: Sequence[Prepared | None]) -> None:
     coarse = [
         f"{done.model.name} {1000 * done.model.hull_error:.0f} mm"
         for done in fresh
         if done and not done.excluded and done.model.flagged
     ]
     if coarse:
-        limit = 1000 * FLAGGED_ERROR
-        warnings.warn(
-            f"convex parts more than {limit:.0f} mm from the mesh: {', '.join(coarse)}",
-            stacklevel=3,
-        )
-    lost = [task.source.name for task in tasks if found[task] is None]
-    if lost:
-        raise MechSearchError(f"cannot keep {', '.join(lost)} in the cache at {cache_folder()}")
-    return [done for done in found.values() if done is not None]
+        named = f"more than {1000 * FLAGGED_ERROR:.0f} mm from the mesh: {', '.join(coarse)}"
+        warnings.warn(f"convex parts {named}", stacklevel=4)
 
 
-@dataclass(frozen=True)
-class _Task:
-    source: Source
-    path: Path
-
-
-def _outcome(task: _Task) -> str | MechSearchError:
+def _outcome(source: Source) -> str | MechSearchError:
     """Prepare an object; return the remark of its preparation, or why there is none."""
     try:
-        return prepare_into(task.source, task.path)
+        return prepare_into(source, cache_path(source))
     except MechSearchError as error:
         return error
 
 
-def _lost(task: _Task, failure: Failure) -> MechSearchError:
+def _lost(source: Source, failure: Failure) -> MechSearchError:
     """Return why an object is not prepared that workers died of."""
     if failure.error is not None:
         raise failure.error
-    return MechSearchError(f"cannot prepare {task.source.name}: {failure.reason}")
+    return MechSearchError(f"cannot prepare {source.name}: {failure.reason}")
 
 
 def cache_key(source: Source) -> str:

@@ -75,7 +75,8 @@ def fetch(
 def _attempt(url: str, partial: Path, timeout: float, advance: Callable[[int], None]) -> None:
     with _open(url, partial, timeout) as response:
         start = _start(response, partial)
-        total = _total(response, start)
+        length = response.headers.get("Content-Length", "")
+        total = start + int(length) if length.isdigit() else None
         etag = response.headers.get("ETag", "")
         _note(partial).write_text(_validator(response), encoding="utf-8")
         with partial.open("r+b" if start else "wb") as file:
@@ -119,11 +120,6 @@ def _start(response: HTTPResponse, partial: Path) -> int:
         discard(partial)
         raise _Cut("the server continued another file")
     return have
-
-
-def _total(response: HTTPResponse, start: int) -> int | None:
-    length = response.headers.get("Content-Length", "")
-    return start + int(length) if length.isdigit() else None
 
 
 def _chunks(response: HTTPResponse) -> Iterator[bytes]:
