@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -254,16 +254,11 @@ class Check:
         return self.drift <= REST_LIMIT and abs(self.occlusion_error) < 1e-9
 
 
-@dataclass(frozen=True)
-class _CheckHeap:
-    objects: str
-    camera: str
-
-    def __call__(self, heap: Heap) -> Check:
-        models = [object_set(self.objects).models[name] for name in heap.objects]
-        bodies = [body_of(model) for model in models]
-        measured = occlusion(bodies, preset(self.camera), heap.poses, heap.target)
-        return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
+def _checked(objects: str, camera: str, heap: Heap) -> Check:
+    models = [object_set(objects).models[name] for name in heap.objects]
+    bodies = [body_of(model) for model in models]
+    measured = occlusion(bodies, preset(camera), heap.poses, heap.target)
+    return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
 
 
 def _unverified(heap: Heap, failure: Failure) -> Check:
@@ -289,7 +284,7 @@ def verify(
     """
     named = objects or heap_set.objects
     check_objects(heap_set, object_set(named))
-    check = _CheckHeap(named, heap_set.camera)
+    check = partial(_checked, named, heap_set.camera)
     checks = map_in_order(check, heap_set.heaps, workers, CHECK_LIMIT, _unverified)
     for i, result in enumerate(checks):
         progress("verified", i + 1, len(heap_set.heaps))

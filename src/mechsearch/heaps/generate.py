@@ -7,6 +7,7 @@ taken in their order, so a heap set does not depend on the number of workers.
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,7 @@ def _generate_alone(
     for one in quotas.values():
         progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
     drops = drops_until_full(quotas.values())
-    for drop in mapper(_Attempt(config), drops, workers, ATTEMPT_LIMIT, _lost):
+    for drop in mapper(partial(_attempted, config), drops, workers, ATTEMPT_LIMIT, _lost):
         one = quotas[drop.count]
         if one.full:
             continue
@@ -267,15 +268,9 @@ def _drop(
     return world.poses
 
 
-@dataclass(frozen=True)
-class _Attempt:
-    """`attempt` with its first arguments bound, for worker processes."""
-
-    config: GenerateConfig
-
-    def __call__(self, drop: Drop) -> Drop:
-        objects = object_set(self.config.objects)
-        return replace(drop, heap=attempt(self.config, objects, drop.count, drop.number))
+def _attempted(config: GenerateConfig, drop: Drop) -> Drop:
+    objects = object_set(config.objects)
+    return replace(drop, heap=attempt(config, objects, drop.count, drop.number))
 
 
 def _lost(drop: Drop, failure: Failure) -> Drop:

@@ -1,7 +1,6 @@
 """An object set from any folder of meshes with masses."""
 
 import csv
-from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -81,22 +80,18 @@ def find_meshes(folder: Path) -> dict[str, Path]:
     scans = {path.parent.parent.name: path for path in folder.glob(f"*/{SCAN.as_posix()}")}
     if scans:
         return dict(sorted(scans.items()))
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
-    if not files:
+    meshes = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    if not meshes:
         raise MechSearchError(f"the object folder {folder} holds no objects; {_LAYOUTS}")
-    return dict(sorted(_by_stem(files).items()))
-
-
-def _by_stem(paths: Iterable[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for path in sorted(paths):
+    for path in sorted(meshes):
         other = found.setdefault(path.stem, path)
         if other != path:
             raise MechSearchError(
-                f"{other.name} and {path.name} in {path.parent} name the same object "
-                f"{path.stem!r}; expected one mesh for each"
+                f"{other.name} and {path.name} in {folder} name the same object {path.stem!r}; "
+                "expected one mesh for each"
             )
-    return found
+    return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True)

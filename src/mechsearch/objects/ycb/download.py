@@ -12,6 +12,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from mechsearch.objects.ycb.transfer import NotServed, Patience, TransferError, discard, fetch
@@ -80,15 +81,16 @@ def pull_ycb(
         pull = _Pull(site, destination, patience or Patience())
         wanted = pull.wanted(names)
         for index, name in enumerate(wanted):
-
-            def advance(have: int, name: str = name, index: int = index) -> None:
-                progress(f"downloading, {name} {have >> 20} MiB", index, len(wanted))
-
+            advance = partial(_tell, progress, name, index, len(wanted))
             done[pull.one(name, advance)].append(name)
             progress("downloading", index + 1, len(wanted))
     except OSError as error:
         raise MechSearchError(f"cannot write to {destination}: {error}") from None
     return Pulled(*(tuple(done[kind]) for kind in ("fetched", "present", "without_scan")))
+
+
+def _tell(progress: Progress, name: str, index: int, total: int, have: int) -> None:
+    progress(f"downloading, {name} {have >> 20} MiB", index, total)
 
 
 @dataclass(frozen=True)
@@ -113,18 +115,18 @@ class _Pull:
 
     def listing(self) -> list[str]:
         """Return the names of all objects on the site."""
-        url, partial = f"{self.site}/objects.json", self.destination / PARTIAL / "objects.json"
-        discard(partial)
+        url, listed = f"{self.site}/objects.json", self.destination / PARTIAL / "objects.json"
+        discard(listed)
         try:
-            fetch(url, partial, self.patience)
-            names = json.loads(partial.read_text(encoding="utf-8"))["objects"]
+            fetch(url, listed, self.patience)
+            names = json.loads(listed.read_text(encoding="utf-8"))["objects"]
             return [name for name in map(str, names) if re.fullmatch(r"\w[\w-]*", name)]
         except (NotServed, TransferError, ValueError, KeyError, TypeError) as error:
             raise MechSearchError(
                 f"cannot read the list of YCB objects at {url} ({error}). {self.by_hand()}"
             ) from None
         finally:
-            discard(partial)
+            discard(listed)
 
     def has(self, name: str) -> bool:
         """Tell whether the scan of an object is there."""
@@ -135,29 +137,27 @@ class _Pull:
         if self.has(name):
             return "present"
         url = f"{self.site}/google/{name}_{FOLDER}.tgz"
-        partial = self.destination / PARTIAL / f"{name}.tgz"
         try:
-            self.fetch_and_unpack(url, partial, name, advance)
+            self.fetch_and_unpack(url, name, advance)
         except NotServed:
             return "without_scan"
         except (TransferError, ArchiveError) as error:
             raise MechSearchError(f"{error}. {self.by_hand(url)}") from None
         return "fetched"
 
-    def fetch_and_unpack(
-        self, url: str, partial: Path, name: str, advance: Callable[[int], None]
-    ) -> None:
+    def fetch_and_unpack(self, url: str, name: str, advance: Callable[[int], None]) -> None:
         """Fetch an archive and unpack it; one that is damaged is fetched again."""
+        archive = self.destination / PARTIAL / f"{name}.tgz"
         for left in reversed(range(ARCHIVE_TRIES)):
-            fetch(url, partial, self.patience, advance)
+            fetch(url, archive, self.patience, advance)
             try:
-                unpack_scan(partial, name, self.destination)
+                unpack_scan(archive, name, self.destination)
                 return
             except ArchiveError:
                 if not left:
                     raise
             finally:
-                discard(partial)
+                discard(archive)
 
     def by_hand(self, url: str = "") -> str:
         """Return what to do where the site cannot be reached."""
