@@ -10,7 +10,7 @@ from mechsearch.camera import preset
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.sim.settle import REST_LIMIT
+from mechsearch.sim.world import REST_LIMIT
 from mechsearch.types import Floats
 
 _PAUSE, _FALL, _LONGEST, _LOOK = 0.16, 0.5, 4.0, 0.25

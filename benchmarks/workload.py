@@ -12,9 +12,9 @@ from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.geometry import cap_length
-from mechsearch.heaps.dataset import HeapSet, load, save
+from mechsearch.heaps.dataset import HeapSet, load_heaps, save_heaps
 from mechsearch.heaps.heap import Heap
-from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.objects.catalog import load_object_set
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.teachers import PAPER_TEACHERS, make_teacher
 from mechsearch.types import ACTION_LENGTH, Array, Floats
@@ -71,8 +71,8 @@ class Workload:
     @cached_property
     def heap_set(self) -> HeapSet:
         """The heaps whose objects are the same here as where they were made."""
-        heap_set = load(self.path) if self.path else embedded_heaps("single")
-        recorded, present = heap_set.manifest["object_hashes"], set_hashes(self.object_set)
+        heap_set = load_heaps(self.path) if self.path else embedded_heaps("single")
+        recorded, present = heap_set.manifest["object_hashes"], self.object_set.hashes
         same = {name for name, digest in recorded.items() if present.get(name) == digest}
         heaps = tuple(heap for heap in heap_set.heaps if same.issuperset(heap.objects))
         if not heaps:
@@ -119,8 +119,8 @@ class Workload:
 
     def written(self, heaps: Sequence[Heap], path: Path) -> "Workload":
         """Return a workload of other heaps of the same objects, written to a file."""
-        hashes = set_hashes(self.object_set)
-        save(path, heaps, {**self.heap_set.manifest, "object_hashes": hashes})
+        hashes = self.object_set.hashes
+        save_heaps(path, heaps, {**self.heap_set.manifest, "object_hashes": hashes})
         return Workload(path, self.objects)
 
 

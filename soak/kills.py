@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 
 MECHSEARCH = (sys.executable, "-m", "mechsearch")
 LONGEST = 40.0
@@ -36,7 +36,7 @@ def kill_generation(kills: int) -> dict[str, Any]:
     def visible(folder: Path) -> None:
         path = folder / "heaps.parquet"
         if path.exists():
-            load(path)
+            load_heaps(path)
 
     return _kill("heaps generate", kills, [command], ("heaps.parquet",), visible)
 

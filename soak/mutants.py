@@ -47,9 +47,13 @@ class Subject:
 
 SUBJECTS = (
     Subject("mechsearch.env.reward", (), ("tests/env/test_reward.py",)),
-    Subject("mechsearch.render.visibility", (), ("tests/render/test_visibility.py",)),
     Subject(
-        "mechsearch.render.view",
+        "mechsearch.render.visibility",
+        ("occlusion", "_dense"),
+        ("tests/render/test_visibility.py",),
+    ),
+    Subject(
+        "mechsearch.render.visibility",
         ("place", "_turn", "overlaps", "rays", "blocks", "_directions"),
         ("tests/render/test_visibility.py", "tests/render/test_renderer.py"),
     ),

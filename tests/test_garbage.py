@@ -19,8 +19,8 @@ from mechsearch.files import read_json
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.masses import read_masses
-from mechsearch.objects.meshes.archive import model_from_npz
+from mechsearch.objects.folder import read_masses
+from mechsearch.objects.meshes.cache import model_from_npz
 from mechsearch.objects.meshes.mesh_file import read_pieces
 from mechsearch.push_values.session import load_episode
 from mechsearch.training.config import load_config
@@ -28,7 +28,7 @@ from mechsearch.training.policies import load_policy
 from mechsearch.types import MechSearchError
 
 READERS = {
-    "heaps.parquet": dataset.load,
+    "heaps.parquet": dataset.load_heaps,
     "episodes.npz": episodes.load_episodes,
     "config.json": load_config,
     "actor.safetensors": load_policy,
@@ -175,7 +175,7 @@ def test_a_table_of_other_rows_is_no_heap_set(manifest, poses, drop, tmp_path):
         {b"mechsearch": json.dumps(manifest).encode(), b"sha256": b"0"}
     )
     pq.write_table(table, tmp_path / "heaps.parquet")
-    assert answered(dataset.load, tmp_path / "heaps.parquet") is None
+    assert answered(dataset.load_heaps, tmp_path / "heaps.parquet") is None
 
 
 @MANY

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mechsearch.env.vector.vector_env import VectorHeapEnv
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate
-    from mechsearch.heaps.dataset import load as load_heaps
+    from mechsearch.heaps.dataset import load_heaps
     from mechsearch.heaps.generate import GenerateConfig, generate
     from mechsearch.objects.catalog import load_object_set
     from mechsearch.training.config import run_config
@@ -38,7 +38,7 @@ _PLACES = {
     "VectorHeapEnv": "env.vector.vector_env:VectorHeapEnv",
     "evaluate": "evaluation.rollout:evaluate",
     "generate": "heaps.generate:generate",
-    "load_heaps": "heaps.dataset:load",
+    "load_heaps": "heaps.dataset:load_heaps",
     "load_object_set": "objects.catalog:load_object_set",
     "make_env": "env.register:make_env",
     "make_vector_env": "env.register:make_vector_env",

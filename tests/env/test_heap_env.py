@@ -26,6 +26,22 @@ def test_only_the_actors_keys_are_returned_unless_privileged(covered, boxes, env
     assert set(privileged) == {*ACTOR_KEYS, *PRIVILEGED_KEYS}
 
 
+def test_before_the_first_reset_there_is_no_heap_no_state_and_nothing_to_save(covered, boxes):
+    env = HeapEnv([covered], boxes, render_mode="rgb_array")
+    for look in (
+        lambda: env.heap,
+        lambda: env.world,
+        lambda: env.state,
+        env.snapshot,
+        env.render,
+    ):
+        with pytest.raises(MechSearchError, match="no episode has begun; call reset first"):
+            look()
+    env.reset(seed=0)
+    assert env.heap is covered
+    assert env.state.occlusion == env.snapshot()["occlusion"]
+
+
 def test_the_start_is_free_and_far_from_the_target_and_fixed_for_evaluation(env, covered):
     starts = []
     for seed in range(5):

@@ -15,7 +15,7 @@ from mechsearch.evaluation.look_ahead import (
 )
 from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
-from mechsearch.heaps.dataset import save
+from mechsearch.heaps.dataset import save_heaps
 from mechsearch.pushes import spiral, straight, zigzag
 from mechsearch.teachers import PushTeacher
 
@@ -24,7 +24,7 @@ from mechsearch.teachers import PushTeacher
 def heap_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     embedded = embedded_heaps("single")
     path = tmp_path_factory.mktemp("heaps") / "three.parquet"
-    save(path, embedded.held_out[:3], embedded.manifest)
+    save_heaps(path, embedded.held_out[:3], embedded.manifest)
     return path
 
 

@@ -15,7 +15,7 @@ from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
 from mechsearch.heaps import dataset
 from mechsearch.heaps.heap import Heap
-from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.objects.catalog import load_object_set
 from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.types import MechSearchError
 
@@ -41,9 +41,9 @@ def heap_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("heaps") / "three.parquet"
     heaps = [make_heap(11), make_heap(12, 10), make_heap(13, 15), make_heap(14, held_out=False)]
     config = {"condition": "single", "objects": "household", "camera": "overhead", "seed": 0}
-    hashes = set_hashes(load_object_set("household"))
+    hashes = load_object_set("household").hashes
     manifest = {"format": 1, "config": config, "engine": "4", "object_hashes": hashes}
-    dataset.save(path, heaps, manifest | {"acceptance_rate": 1.0})
+    dataset.save_heaps(path, heaps, manifest | {"acceptance_rate": 1.0})
     return path
 
 
@@ -153,7 +153,7 @@ def test_held_out_heaps_are_evaluated_and_the_file_says_how(
     assert done == [1, 2, 3]
     header = evaluation.header
     assert (header["name"], header["condition"], header["trained"]) == ("idle", "single", False)
-    assert header["heap_set"] == dataset.load(heap_file).hash
+    assert header["heap_set"] == dataset.load_heaps(heap_file).hash
     assert header["env"]["keys"] == ["ee_position"]
     episodes.save_episodes(tmp_path / "idle.npz", evaluation)
     loaded = episodes.load_episodes(tmp_path / "idle.npz")
@@ -163,10 +163,10 @@ def test_held_out_heaps_are_evaluated_and_the_file_says_how(
 
 def test_a_heap_set_that_was_made_anew_is_read_anew(heap_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "heaps.parquet"
-    found = dataset.load(heap_file)
+    found = dataset.load_heaps(heap_file)
     plan = EvaluationPlan("idle", path, task=TaskConfig(max_actions=1))
     for heaps in (found.heaps[:2], found.heaps[1:3]):
-        dataset.save(path, heaps, found.manifest)
+        dataset.save_heaps(path, heaps, found.manifest)
         seeds = [record.heap_seed for record in evaluate_plan(plan).episodes]
         assert seeds == [heap.seed for heap in heaps]
 

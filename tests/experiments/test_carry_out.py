@@ -29,7 +29,7 @@ from mechsearch.files import (
     read_record,
     write_record,
 )
-from mechsearch.processes import map_long_work
+from mechsearch.processes import map_in_order
 from mechsearch.types import MechSearchError
 
 TABLES = ("summary.csv", "curves.csv")
@@ -324,7 +324,7 @@ class DeadlyGrasp:
 def test_a_killed_worker_costs_the_repetition_of_its_job(few, tmp_path):
     plan = replace(few, references=("idle",), grasps=True)
     deadly = DeadlyGrasp(tmp_path)
-    status = carry_out(plan, tmp_path / "sweep", 2, map_long_work, deadly)
+    status = carry_out(plan, tmp_path / "sweep", 2, map_in_order, deadly)
     assert states(status) == {"single/scores of idle": DONE}
     assert began(tmp_path / "sweep")["single/scores of idle"] == 2
 
@@ -332,7 +332,7 @@ def test_a_killed_worker_costs_the_repetition_of_its_job(few, tmp_path):
 def test_a_job_that_kills_two_workers_is_reported(few, tmp_path):
     plan = replace(few, references=("idle",), grasps=True)
     deadly = DeadlyGrasp(tmp_path, always=True)
-    status = carry_out(plan, tmp_path / "sweep", 2, map_long_work, deadly)
+    status = carry_out(plan, tmp_path / "sweep", 2, map_in_order, deadly)
     assert reasons(status) == {"single/scores of idle": "worker died"}
 
 

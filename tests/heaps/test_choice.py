@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mechsearch.env.register import embedded_heaps
-from mechsearch.heaps.choice import evenly_spread
+from mechsearch.heaps.heap import evenly_spread
 
 
 def test_half_of_ten_is_every_second() -> None:

@@ -7,7 +7,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from mechsearch.env.register import embedded_heaps, make_env
-from mechsearch.heaps.dataset import check_objects, heap_from_json, heap_to_json, load, save, verify
+from mechsearch.heaps.dataset import (
+    check_objects,
+    heap_from_json,
+    heap_to_json,
+    load_heaps,
+    save_heaps,
+    verify,
+)
 from mechsearch.heaps.generate import GenerateConfig, attempt, generate
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import Failure
@@ -37,7 +44,7 @@ def test_targets_are_occluded_within_bounds_and_objects_distinct(small):
 
 def test_what_is_written_is_read_back_exactly(small):
     path, heaps = small
-    again = load(path)
+    again = load_heaps(path)
     assert again.hash == heaps.hash
     for a, b in zip(again.heaps, heaps.heaps, strict=True):
         np.testing.assert_array_equal(a.poses, b.poses)
@@ -154,18 +161,18 @@ def test_every_kind_of_damage_is_found(small, tmp_path):
     broken = tmp_path / "broken.parquet"
     broken.write_bytes(data[: len(data) // 2])
     with pytest.raises(MechSearchError, match="damaged"):
-        load(broken)
+        load_heaps(broken)
     table = pq.read_table(path)
     columns = table.to_pydict()
     columns["target"][0] += 1
     pq.write_table(pa.Table.from_pydict(columns, schema=table.schema), broken)
     with pytest.raises(MechSearchError, match="damaged"):
-        load(broken)
+        load_heaps(broken)
     with pytest.raises(MechSearchError, match="no heap set"):
-        load(tmp_path / "absent.parquet")
-    save(broken, heaps.heaps, {**heaps.manifest, "format": 99})
+        load_heaps(tmp_path / "absent.parquet")
+    save_heaps(broken, heaps.heaps, {**heaps.manifest, "format": 99})
     with pytest.raises(MechSearchError, match="format 99"):
-        load(broken)
+        load_heaps(broken)
 
 
 def test_heaps_of_other_objects_are_refused(small, boxes):

@@ -9,9 +9,15 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mechsearch.files.layout import cache_folder
 from mechsearch.objects.meshes import cache, convex, prepare
-from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
-from mechsearch.objects.meshes.cache import cache_folder, cache_key, cached, prepare_into
+from mechsearch.objects.meshes.cache import (
+    cache_key,
+    cached,
+    model_from_npz,
+    model_to_npz,
+    prepare_into,
+)
 from mechsearch.objects.meshes.prepare import Source
 from mechsearch.objects.model import ObjectModel
 from mechsearch.types import MechSearchError
@@ -146,7 +152,7 @@ def test_one_hull_kept_for_want_of_time_is_another_object(bracket, tmp_path, mon
     bracket.export(tmp_path / "bracket.stl")
     source = Source("bracket", "", tmp_path / "bracket.stl", 0.2)
     impatient = partial(convex.convex_parts, time_limit=0.01)
-    monkeypatch.setattr(prepare, "convex_parts", impatient)
+    monkeypatch.setattr(convex, "convex_parts", impatient)
     assert prepare_into(source, tmp_path / "kept.npz") == "no decomposition in 0.01 s"
     done = cached(tmp_path / "kept.npz")
     assert done.model.content_hash != cache_key(source)

@@ -120,7 +120,7 @@ def site():
 
 
 def pull(site, folder, **options):
-    return pull_ycb(folder, site.url, progress=False, patience=IMPATIENT, **options)
+    return pull_ycb(folder, site.url, patience=IMPATIENT, **options)
 
 
 def scan(folder, name=NAME):
@@ -299,7 +299,7 @@ def test_a_lasting_server_error_is_named_with_the_number_of_tries(site, tmp_path
 
 def test_without_a_network_the_message_says_what_to_do_by_hand(tmp_path):
     with pytest.raises(MechSearchError) as raised:
-        pull_ycb(tmp_path, "http://127.0.0.1:9", progress=False, patience=IMPATIENT)
+        pull_ycb(tmp_path, "http://127.0.0.1:9", patience=IMPATIENT)
     for part in ("127.0.0.1:9/objects.json", "by hand", "google_16k.tgz", str(tmp_path)):
         assert part in str(raised.value)
 

@@ -1,13 +1,17 @@
 """Claims about sets from folders, and sets by name."""
 
 import shutil
+import subprocess
+import sys
 
+import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.objects.catalog import flagged, load_object_set, set_hashes
-from mechsearch.objects.folder import SCAN, find_meshes, load_folder
-from mechsearch.objects.masses import read_masses, ycb_masses
+from mechsearch.objects.catalog import load_object_set
+from mechsearch.objects.folder import find_meshes, load_folder, read_masses, ycb_masses
+from mechsearch.objects.meshes import convex
+from mechsearch.objects.ycb.download import SCAN
 from mechsearch.types import MechSearchError
 
 
@@ -41,10 +45,10 @@ def test_a_folder_of_meshes_is_a_set_in_order_of_names(folder):
 def test_a_set_is_the_same_from_the_cache_and_for_any_number_of_workers(
     folder, tmp_path_factory, monkeypatch
 ):
-    fresh = set_hashes(load_folder(folder, workers=1))
-    assert set_hashes(load_folder(folder, workers=1)) == fresh
+    fresh = load_folder(folder, workers=1).hashes
+    assert load_folder(folder, workers=1).hashes == fresh
     monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path_factory.mktemp("other")))
-    assert set_hashes(load_folder(folder, workers=2)) == fresh
+    assert load_folder(folder, workers=2).hashes == fresh
 
 
 def test_what_is_in_the_cache_is_not_prepared_again(folder, monkeypatch):
@@ -53,8 +57,55 @@ def test_what_is_in_the_cache_is_not_prepared_again(folder, monkeypatch):
     def refuse(*_):
         raise AssertionError("prepared again")
 
-    monkeypatch.setattr("mechsearch.objects.meshes.parallel.prepare_into", refuse)
+    monkeypatch.setattr("mechsearch.objects.meshes.cache.prepare_into", refuse)
     assert list(load_folder(folder).models) == ["brick", "cube"]
+
+
+def test_another_mass_is_another_object_without_another_decomposition(
+    bracket, tmp_path, monkeypatch
+):
+    calls = []
+    decompose = convex._decompose
+    monkeypatch.setattr(convex, "_decompose", lambda *args: calls.append(1) or decompose(*args))
+    bracket.export(tmp_path / "bracket.stl")
+    write_masses(tmp_path, "bracket,0.1")
+    light = load_folder(tmp_path, workers=1).models["bracket"]
+    write_masses(tmp_path, "bracket,0.15")
+    heavy = load_folder(tmp_path, workers=1).models["bracket"]
+    assert len(calls) == 1
+    assert (light.mass, heavy.mass) == (0.1, 0.15)
+    assert light.content_hash != heavy.content_hash
+    np.testing.assert_allclose(heavy.inertia, 1.5 * light.inertia)
+    for one, other in zip(light.parts, heavy.parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_damaged_decomposition_is_made_again_and_named(bracket, tmp_path, monkeypatch):
+    bracket.export(tmp_path / "bracket.stl")
+    write_masses(tmp_path, "bracket,0.1")
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("MECHSEARCH_CACHE", str(cache))
+    first = load_folder(tmp_path, workers=1).models["bracket"]
+    (kept,) = (cache / "parts").iterdir()
+    kept.write_bytes(kept.read_bytes()[:100])
+    write_masses(tmp_path, "bracket,0.15")
+    with pytest.warns(UserWarning, match="is damaged.*the mesh is decomposed again"):
+        again = load_folder(tmp_path, workers=1).models["bracket"]
+    for one, other in zip(first.parts, again.parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_script_without_a_main_guard_is_told_what_it_needs(folder, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from mechsearch.objects.folder import load_folder\n"
+        f"load_folder(Path({str(folder)!r}), workers=2)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "MechSearchError: worker processes do not start" in done.stderr
+    assert "needs `if __name__ == '__main__':`" in done.stderr
 
 
 def test_the_official_layout_takes_published_masses(tmp_path):
@@ -84,7 +135,7 @@ def test_corrupt_meshes_are_one_error_that_names_them_and_the_rest_is_kept(folde
         load_folder(folder, workers=1)
     (folder / "cube.glb").unlink()
     (folder / "plank.stl").unlink()
-    monkeypatch.setattr("mechsearch.objects.meshes.parallel.prepare_into", None)
+    monkeypatch.setattr("mechsearch.objects.meshes.cache.prepare_into", None)
     assert list(load_folder(folder).models) == ["brick"]
 
 
@@ -165,7 +216,7 @@ def test_downloaded_ycb_objects_without_a_published_mass_are_left_out(tmp_path, 
 
 def test_a_folder_is_a_set_by_its_path(folder):
     assert list(load_object_set(str(folder), workers=1).models) == ["brick", "cube"]
-    assert flagged(load_object_set(folder)) == {}
+    assert not any(model.flagged for model in load_object_set(folder).models.values())
 
 
 def test_real_ycb_objects_make_a_set(ycb, tmp_path, monkeypatch):

@@ -3,10 +3,9 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from mechsearch.objects.household.assembly import triangle_distances
-from mechsearch.objects.household.object_set import ITEMS, household
+from mechsearch.objects.household.object_set import ITEMS, household, triangle_distances
 from mechsearch.objects.household.primitives import MOST_CORNERS
-from mechsearch.objects.meshes.limits import why_wrong_mass, why_wrong_shape, why_wrong_size
+from mechsearch.objects.meshes.prepare import why_wrong_mass, why_wrong_shape, why_wrong_size
 
 MODELS = household().models
 CATEGORIES = {"can", "box", "bottle", "bowl", "mug", "cup", "fruit", "ball", "tool", "clamp"}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.objects.meshes.mesh_file import joined, read_pieces, source_files
+from mechsearch.objects.meshes.mesh_file import merge_pieces, read_pieces, source_files
 from mechsearch.types import MechSearchError
 
 OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -30,7 +30,7 @@ def test_other_formats_are_one_file(tmp_path):
 def test_every_format_gives_the_same_box(tmp_path, suffix):
     path = tmp_path / f"box{suffix}"
     trimesh.creation.box((0.1, 0.2, 0.3)).export(path)
-    mesh = joined(read_pieces(path))
+    mesh = merge_pieces(read_pieces(path))
     assert len(mesh.vertices) == 8
     assert mesh.is_volume
     assert mesh.extents == pytest.approx([0.1, 0.2, 0.3])
@@ -44,7 +44,7 @@ def test_the_pieces_of_a_scene_keep_their_places(tmp_path):
     scene.export(tmp_path / "two.glb")
     pieces = read_pieces(tmp_path / "two.glb")
     assert len(pieces) == 2
-    assert joined(pieces).bounds[:, 0] == pytest.approx([-0.05, 0.55])
+    assert merge_pieces(pieces).bounds[:, 0] == pytest.approx([-0.05, 0.55])
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,6 @@ def test_joining_merges_corners_that_textures_had_split():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     box.unmerge_vertices()
     assert len(box.vertices) == 36
-    mesh = joined([box])
+    mesh = merge_pieces([box])
     assert len(mesh.vertices) == 8
     assert np.isclose(mesh.volume, 0.001)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.objects.folder import SCAN
-from mechsearch.objects.meshes.prepare import FRICTION, MOST_FACES, Source, prepare, simplified
+from mechsearch.objects.meshes.prepare import MOST_FACES, Source, prepare, simplified
 from mechsearch.objects.meshes.texels import colour_of_name
+from mechsearch.objects.model import FRICTION
+from mechsearch.objects.ycb.download import SCAN
 from mechsearch.types import MechSearchError
 
 

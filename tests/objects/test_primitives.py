@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from mechsearch.objects.hashing import content_hash
-from mechsearch.objects.household.assembly import (
-    assemble,
+from mechsearch.objects.household.object_set import (
     hausdorff,
     moments_of,
     triangle_distances,
+    union_of,
 )
 from mechsearch.objects.household.paint import (
     band,
@@ -26,7 +25,7 @@ from mechsearch.objects.household.paint import (
     spot,
 )
 from mechsearch.objects.household.primitives import (
-    TEXEL_ROWS,
+    TEXEL_CENTRE,
     box,
     cylinder,
     ellipsoid,
@@ -36,9 +35,9 @@ from mechsearch.objects.household.primitives import (
     shell,
     skin,
     stack,
-    texel_weights,
     tube,
 )
+from mechsearch.objects.model import TEXEL_ROWS, content_hash, texel_weights
 from mechsearch.types import MechSearchError
 
 SOLIDS = {
@@ -131,7 +130,7 @@ def test_a_part_of_too_many_corners_is_refused():
 
 def test_texels_are_found_again_by_their_weights():
     n = TEXEL_ROWS
-    weights = texel_weights(n)
+    weights = texel_weights(n, TEXEL_CENTRE)
     assert len(weights) == n * (n + 1) / 2
     assert weights.sum(axis=1) == pytest.approx(1)
     assert (weights >= -1e-12).all()
@@ -141,7 +140,9 @@ def test_texels_are_found_again_by_their_weights():
 
 def test_paint_is_laid_where_the_solid_is():
     solid = box(2, 2, 2).painted(layers("000000", (band("z", 0.0, 2.0), "ff0000"))).moved(z=5)
-    points = np.einsum("tc,fcd->ftd", texel_weights(TEXEL_ROWS), solid.vertices[solid.faces])
+    points = np.einsum(
+        "tc,fcd->ftd", texel_weights(TEXEL_ROWS, TEXEL_CENTRE), solid.vertices[solid.faces]
+    )
     red = solid.texels[..., 0] == 255
     assert (red == (points[..., 2] >= 5)).all()
 
@@ -196,7 +197,7 @@ def test_distance_to_a_displaced_copy_is_the_displacement(sides, shift):
 
 
 def test_assembled_object_is_balanced_on_its_origin():
-    model = assemble("bar", "block", 2.0, [box(0.1, 0.1, 0.1), box(0.1, 0.1, 0.1).moved(x=0.1)])
+    model = union_of("bar", "block", 2.0, [box(0.1, 0.1, 0.1), box(0.1, 0.1, 0.1).moved(x=0.1)])
     assert model.parts[0].mean(axis=0) == pytest.approx([-0.05, 0, 0])
     expected = 2.0 / 12 * np.array([0.02, 0.05, 0.05])
     assert model.inertia == pytest.approx(np.diag(expected))
@@ -205,8 +206,8 @@ def test_assembled_object_is_balanced_on_its_origin():
 
 def test_one_colour_needs_one_texel():
     red, half = plain("ff0000"), layers("ff0000", (band("z", 0.1, 1), "0000ff"))
-    assert assemble("a", "x", 1.0, [box(1, 1, 1).painted(red)]).texels.shape[1] == 1
-    assert assemble("a", "x", 1.0, [box(1, 1, 1).painted(half)]).texels.shape[1] == 21
+    assert union_of("a", "x", 1.0, [box(1, 1, 1).painted(red)]).texels.shape[1] == 1
+    assert union_of("a", "x", 1.0, [box(1, 1, 1).painted(half)]).texels.shape[1] == 21
 
 
 ARGUMENTS = {

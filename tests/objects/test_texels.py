@@ -6,7 +6,8 @@ import trimesh
 from PIL import Image
 from trimesh.visual import TextureVisuals
 
-from mechsearch.objects.meshes.texels import bake_texels, barycentric_grid, colour_of_name
+from mechsearch.objects.meshes.texels import bake_texels, colour_of_name
+from mechsearch.objects.model import texel_weights
 
 RED, BLUE = [200, 0, 0, 255], [0, 0, 200, 255]
 
@@ -18,20 +19,20 @@ def bake(mesh, rows=4, name="thing"):
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 6])
 def test_the_grid_has_its_samples_inside_the_triangle(rows):
-    grid = barycentric_grid(rows)
+    grid = texel_weights(rows, 1 / 3)
     assert len(grid) == rows * (rows + 1) // 2
     assert (grid >= 0).all()
     assert grid.sum(axis=1) == pytest.approx(1)
 
 
 def test_the_grid_runs_along_the_third_corner_first():
-    thirds = barycentric_grid(2) * 6
+    thirds = texel_weights(2, 1 / 3) * 6
     assert thirds == pytest.approx(np.array([[4, 1, 1], [1, 1, 4], [1, 4, 1]]))
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5, 6])
 def test_cell_i_j_stands_where_the_object_model_says(rows):
-    grid = barycentric_grid(rows)
+    grid = texel_weights(rows, 1 / 3)
     for i in range(rows):
         for j in range(rows - i):
             index = i * rows - i * (i - 1) // 2 + j
@@ -43,7 +44,7 @@ def test_face_colours_stay_on_their_faces():
     top = box.face_normals[:, 2] > 0.5
     box.visual.face_colors = np.where(top[:, None], RED, BLUE)
     middles = bake(box, rows=4)[:, 5]
-    assert barycentric_grid(4)[5] == pytest.approx([1 / 3] * 3, abs=0.1)
+    assert texel_weights(4, 1 / 3)[5] == pytest.approx([1 / 3] * 3, abs=0.1)
     assert (middles[top] == RED[:3]).all()
     assert (middles[~top] == BLUE[:3]).all()
 
@@ -52,7 +53,7 @@ def test_vertex_colours_are_mixed_between_corners():
     mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     mesh.visual.vertex_colors = [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255]]
     texels = bake(mesh, rows=4)[0].astype(float)
-    assert texels == pytest.approx(barycentric_grid(4) * 255, abs=8)
+    assert texels == pytest.approx(texel_weights(4, 1 / 3) * 255, abs=8)
 
 
 def textured_square(image):
@@ -73,7 +74,7 @@ def test_a_texture_has_its_first_row_at_the_top_and_first_column_at_the_left():
     )
     texels = bake(textured_square(Image.fromarray(pixels)), rows=6)
     mesh = textured_square(None)
-    points = np.einsum("tk,fkd->ftd", barycentric_grid(6), mesh.triangles)
+    points = np.einsum("tk,fkd->ftd", texel_weights(6, 1 / 3), mesh.triangles)
     for texel, (x, y, _) in zip(texels.reshape(-1, 3), points.reshape(-1, 3), strict=True):
         assert texel.tolist() == pixels[int(y < 0.5), int(x >= 0.5)].tolist() or (
             min(abs(x - 0.5), abs(y - 0.5)) < 0.02

@@ -22,7 +22,7 @@ from mechsearch.cli import main
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.experiments.sweep import run_all
-from mechsearch.heaps.dataset import load, save
+from mechsearch.heaps.dataset import load_heaps, save_heaps
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.processes.ray_cluster import connected, ray_map
 from mechsearch.types import MechSearchError
@@ -101,7 +101,7 @@ def pids_of_workers():
     pids = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with suppress(OSError):
-            if path.read_bytes().startswith(b"ray::Hand"):
+            if path.read_bytes().startswith(b"ray::RemoteFunction"):
                 pids.append(int(path.parent.name))
     return pids
 
@@ -131,7 +131,7 @@ def test_heaps_are_the_serial_ones_though_a_worker_is_killed_midway(tmp_path):
 
 def test_episodes_are_the_serial_ones(tmp_path):
     embedded = embedded_heaps("single")
-    save(tmp_path / "heaps.parquet", embedded.held_out[:4], embedded.manifest)
+    save_heaps(tmp_path / "heaps.parquet", embedded.held_out[:4], embedded.manifest)
     plan = EvaluationPlan("teacher-straight", tmp_path / "heaps.parquet")
     ours, serial = evaluate_plan(plan, 2, mapper=ray_map), evaluate_plan(plan)
     assert ours.header == serial.header
@@ -145,7 +145,7 @@ def test_the_commands_take_ray_and_relative_paths(tmp_path, monkeypatch, capsys)
     words = ["--heaps", "4", "--counts", "4", "--seed", "3"]
     main(["heaps", "generate", "--out", "ray.parquet", *words, "--ray"])
     main(["heaps", "generate", "--out", "one.parquet", *words, "--workers", "1"])
-    assert load(Path("ray.parquet")).hash == load(Path("one.parquet")).hash
+    assert load_heaps(Path("ray.parquet")).hash == load_heaps(Path("one.parquet")).hash
     main(["evaluate", "idle", "--heaps", "ray.parquet", "--out", "scores", "--ray", "--brief"])
     assert "left out" not in capsys.readouterr().out
     assert Path("scores/idle.npz").exists()

@@ -7,8 +7,7 @@ from mechsearch.camera import Camera, preset
 from mechsearch.geometry import random_quaternion, yaw_quaternion
 from mechsearch.render.body import body_of
 from mechsearch.render.renderer import Renderer
-from mechsearch.render.view import Projection
-from mechsearch.render.visibility import occlusion
+from mechsearch.render.visibility import Projection, occlusion
 
 CAMERA = preset("overhead")
 

@@ -3,8 +3,15 @@ import pytest
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftConfig, LiftFrame, LiftWorld, Outcome, above_table
-from mechsearch.sim.perturb import Perturbation, perturbed
+from mechsearch.sim.lift import (
+    LiftConfig,
+    LiftFrame,
+    LiftWorld,
+    Outcome,
+    Perturbation,
+    above_table,
+    perturbed,
+)
 from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.types import MechSearchError
 

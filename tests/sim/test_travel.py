@@ -9,9 +9,8 @@ from mechsearch.env.register import embedded_heaps
 from mechsearch.objects.household.object_set import household
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.sim.settle import AWAKE
 from mechsearch.sim.travel import Outlines, clear_steps, free_travel
-from mechsearch.sim.world import World
+from mechsearch.sim.world import AWAKE, World
 
 EVERYTHING = replace(AWAKE, clearance=float("inf"), stops_when_still=False)
 """Physics that leaves nothing out."""

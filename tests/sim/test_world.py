@@ -1,12 +1,14 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
 
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.sim.scene import PhysicsConfig, Wall
-from mechsearch.sim.settle import AWAKE, REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import World
+from mechsearch.sim.world import AWAKE, REST_LIMIT, World, drift, settle
 
 REST = [0, 0, 0.03, 1, 0, 0, 0]
 
@@ -115,3 +117,39 @@ def test_the_pushers_mesh_is_closed_and_starts_at_its_tip():
     assert mesh.is_watertight
     assert mesh.volume > 0
     np.testing.assert_allclose(mesh.bounds[:, 2], [0, Pusher().length], atol=1e-9)
+
+
+OTHER_USER = """
+import os, sys
+import mujoco, numpy as np
+told = []
+mujoco.set_mju_user_warning(told.append)
+import mechsearch, mechsearch.sim.lift, mechsearch.sim.world
+from mechsearch.objects.household.object_set import household
+
+world = mechsearch.sim.world.World([household().models["mug"]])
+pose = np.array([[0.0, 0.0, np.nan, 1.0, 0.0, 0.0, 0.0]])
+for _ in range(2):
+    world.reset(pose)
+    before = world.snapshot()
+    world.step(3)
+    assert world.failure() == "not a number" and world._warnings.max() > 1
+    world.restore(before)
+    world.step(3)
+assert not told and not os.path.exists("MUJOCO_LOG.TXT"), told
+
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+)
+data = mujoco.MjData(model)
+data.qpos[0] = np.nan
+mujoco.mj_step(model, data)
+assert told, "the other user of the engine is not warned"
+"""
+
+
+def test_warnings_of_our_worlds_are_counted_and_those_of_other_users_reach_them(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", OTHER_USER], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")

@@ -8,7 +8,7 @@ import pytest
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive
-from mechsearch.heaps.dataset import HeapSet, load, object_set
+from mechsearch.heaps.dataset import HeapSet, load_heaps, object_set
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import PRESETS
 from mechsearch.training.loop import learn
@@ -85,7 +85,7 @@ def test_a_real_heap_trains_resumes_and_acts(debug, heap_set, boxes, tmp_path):
 def test_a_run_on_real_heaps_is_made_longer_in_mid_episode_with_all_teachers(
     actions, debug, tmp_path
 ):
-    found = load(Path(str(resources.files("mechsearch.heaps") / "household_single.parquet")))
+    found = load_heaps(Path(str(resources.files("mechsearch.heaps") / "household_single.parquet")))
     few = HeapSet(tuple(found.heaps[i] for i in (0, 8, 17)), found.manifest, "")
     objects = object_set("household")
     longer = debug.changed(actions=34, held_out_heaps=0, validation_heaps=0, updates_per_action=2)

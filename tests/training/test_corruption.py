@@ -25,7 +25,7 @@ from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
+from mechsearch.objects.meshes.cache import model_from_npz, model_to_npz
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
@@ -113,7 +113,10 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
         *(rng.normal(size=(4, 2, 7)), {"idle": np.ones(3)}, np.zeros(3), np.zeros(3)),
         *("uncovered", 50),
     )
-    manifest = {"format": dataset.FORMAT, "config": {"objects": "boxes", "camera": "overhead"}}
+    manifest = {
+        "format": dataset.HEAPS_FORMAT,
+        "config": {"objects": "boxes", "camera": "overhead"},
+    }
     inputs = {"heaps": "a.parquet", "heap_set": "ab12", "objects": "ycb"}
     plan = json.loads(json.dumps({**asdict(QUICK), "version": "1.0"}))
     over = "record of a finished run"
@@ -126,12 +129,12 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
 
     actor = "actor.safetensors"
     of_run = ("config.json", "metrics.jsonl", last)
-    record_format, archive_format = (records, "RECORD"), (weights, "FORMAT")
+    record_format, archive_format = (records, "RECORD"), (weights, "ARCHIVE_FORMAT")
     kinds = {
         "heap set": Kind(
             "heaps.parquet",
-            lambda f: dataset.save(f / "heaps.parquet", [covered] * 3, manifest),
-            lambda f: dataset.load(f / "heaps.parquet"),
+            lambda f: dataset.save_heaps(f / "heaps.parquet", [covered] * 3, manifest),
+            lambda f: dataset.load_heaps(f / "heaps.parquet"),
             strict=False,
         ),
         "run configuration": Kind(
@@ -329,7 +332,7 @@ def later_again(name: str, kinds: dict[str, Kind], folder: Path) -> None:
         files.write_record(file, "training configuration", content)
         return
     with pytest.MonkeyPatch.context() as now:
-        now.setattr(weights, "FORMAT", 1)
+        now.setattr(weights, "ARCHIVE_FORMAT", 1)
         archive = weights.load_archive(file, f"mechsearch {name}")
     if name == "checkpoint":
         archive = replace(

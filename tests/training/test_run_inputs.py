@@ -6,13 +6,13 @@ import pytest
 
 pytest.importorskip("torch")
 
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.training.run import RunInputs, _record
 
 
 def recorded(heaps, run):
     run.mkdir(parents=True)
-    _record(RunInputs(heaps, "household"), load(heaps), run, False, {})
+    _record(RunInputs(heaps, "household"), load_heaps(heaps), run, False, {})
 
 
 @pytest.fixture

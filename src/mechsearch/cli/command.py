@@ -3,19 +3,17 @@
 import importlib
 import importlib.util
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
 import tyro
-from rich.console import Console
 
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.heaps.dataset import HeapSet
-from mechsearch.objects.catalog import load_object_set, set_hashes
-from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.processes import PROCESSORS, Mapper, Progress, map_in_order
-from mechsearch.training.progress import progress_bars
+from mechsearch.heaps.dataset import object_set
+from mechsearch.objects.model import ObjectModel
+from mechsearch.processes import PROCESSORS, Mapper, map_in_order
+from mechsearch.processes.progress import bars as bars
 from mechsearch.types import MechSearchError
 
 WORKERS = PROCESSORS
@@ -36,21 +34,7 @@ class Command:
 
 
 @contextmanager
-def bars() -> Iterator[Progress]:
-    """Show progress on the error stream, once there is any, so that results can be piped."""
-    with ExitStack() as stack:
-        opened: list[Progress] = []
-
-        def progress(label: str, done: int, total: int) -> None:
-            if not opened:
-                opened.append(stack.enter_context(progress_bars(Console(stderr=True))))
-            opened[0](label, done, total)
-
-        yield progress
-
-
-@contextmanager
-def spread(workers: int, ray: bool, address: str) -> Iterator[tuple[int, Mapper]]:
+def open_mapper(workers: int, ray: bool, address: str) -> Iterator[tuple[int, Mapper]]:
     """Yield the number of workers and the map: of this machine, or of a Ray cluster.
 
     Args:
@@ -71,20 +55,15 @@ def spread(workers: int, ray: bool, address: str) -> Iterator[tuple[int, Mapper]
         yield processors, cluster.ray_map
 
 
-def objects_of(heap_set: HeapSet, named: str) -> ObjectSet:
-    """Return the object set that was named, or else the one that a heap set was made with."""
-    return load_object_set(named or str(heap_set.manifest["config"]["objects"]))
-
-
 def models_of(evaluation: Evaluation, named: str) -> Mapping[str, ObjectModel]:
     """Return the objects that an evaluation was recorded with, by name.
 
     Raises:
         MechSearchError: If the set that was named, or that the evaluation names, has others.
     """
-    objects = load_object_set(named or str(evaluation.header["object_set"]))
-    recorded, present = evaluation.header["object_hashes"], set_hashes(objects)
-    wrong = sorted(name for name in recorded if present.get(name) != recorded[name])
+    objects = object_set(named or str(evaluation.header["object_set"]))
+    recorded = evaluation.header["object_hashes"]
+    wrong = objects.differing(recorded)
     if wrong:
         raise MechSearchError(
             f"{len(wrong)} of the {len(recorded)} recorded objects are missing from or differ in "

@@ -11,7 +11,7 @@ from mechsearch.cli.reporting import Report
 from mechsearch.cli.training import Train
 from mechsearch.evaluation.policies import policy_names
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.training.config import run_config
 
@@ -58,7 +58,7 @@ class Demo(Command):
             with bars() as progress:
                 generate(config, path, self.workers, progress)
             wrote(path)
-        say(describe(load(path)))
+        say(describe(load_heaps(path)))
 
     def _train(self, heaps: Path, folder: Path) -> None:
         config = run_config("method")

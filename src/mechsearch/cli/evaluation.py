@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, spread, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, models_of, open_mapper, say, wrote
 from mechsearch.cli.graspability import retrieval_table
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
@@ -103,7 +103,7 @@ class Evaluate(Command):
             check_place(self.summary)
         grasping = self._grasping()
         evaluations = []
-        with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
+        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
             for plan in plans:
                 evaluation = record(plan, self.out, workers, mapper)
                 if grasping:

@@ -20,7 +20,7 @@ from mechsearch.grasp.learning.training import (
     compare_networks,
     train_grasp_network,
 )
-from mechsearch.heaps.dataset import load
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.retrieval.calibration import Calibration, calibrate_network
 
@@ -47,7 +47,7 @@ class LabelGrasps(Command):
 
     def run(self) -> None:
         """Label, and say what became of the grasps."""
-        heap_set = load(self.heaps)
+        heap_set = load_heaps(self.heaps)
         objects = self.objects or heap_set.objects
         with bars() as progress:
             label_grasps(heap_set, objects, self.config, self.out, self.workers, progress)

@@ -4,16 +4,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, objects_of, say, spread, wrote
+from mechsearch.cli.command import WORKERS, Command, bars, open_mapper, say, wrote
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.dataset import HeapSet, load, verify
+from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps, verify
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.heaps.heap import Heap
 from mechsearch.pictures.sheet import heap_sheet
 
 
@@ -39,7 +36,7 @@ class Generate(Command):
 
     def run(self) -> None:
         """Generate and write the heap set."""
-        crew = spread(self.workers, self.ray, self.ray_address)
+        crew = open_mapper(self.workers, self.ray, self.ray_address)
         with crew as (workers, mapper), bars() as progress:
             heap_set = generate(self.config, self.out, workers, progress, mapper)
         say(describe(heap_set))
@@ -50,7 +47,7 @@ class Generate(Command):
 
 
 @dataclass(frozen=True)
-class Show(Command):
+class ShowHeaps(Command):
     """Say what is in a heap set, and draw it.
 
     Attributes:
@@ -67,18 +64,18 @@ class Show(Command):
 
     def run(self) -> None:
         """Print a summary and draw the heaps."""
-        heap_set = load(self.heaps)
+        heap_set = load_heaps(self.heaps)
         say(describe(heap_set))
         if self.out:
-            number = min(self.limit, len(heap_set.heaps))
-            chosen = [heap_set.heaps[i] for i in evenly_spread(len(heap_set.heaps), number)]
-            models = objects_of(heap_set, self.objects).models
-            write_whole(self.out, heap_sheet(chosen, models, heap_set.camera).save)
+            _, objects = open_heaps(self.heaps, self.objects)
+            limit = min(self.limit, len(heap_set.heaps))
+            chosen = [heap_set.heaps[i] for i in heap_set.choose("all", limit)]
+            write_whole(self.out, heap_sheet(chosen, objects.models, heap_set.camera).save)
             wrote(self.out)
 
 
 @dataclass(frozen=True)
-class Verify(Command):
+class VerifyHeaps(Command):
     """Restore every heap; prove that it rests and that its target is occluded as recorded.
 
     Attributes:
@@ -93,10 +90,9 @@ class Verify(Command):
 
     def run(self) -> None:
         """Verify; exit with 1 if a heap fails."""
-        heap_set = load(self.heaps)
-        named = self.objects or str(heap_set.manifest["config"]["objects"])
+        heap_set = load_heaps(self.heaps)
         with bars() as progress:
-            checks = list(verify(heap_set, named, self.workers, progress))
+            checks = list(verify(heap_set, self.objects, self.workers, progress))
         for check in checks:
             if not check.passed:
                 say(
@@ -115,24 +111,17 @@ class Verify(Command):
 
 def describe(heap_set: HeapSet) -> str:
     """Return what is in a heap set, by object count."""
-    manifest = heap_set.manifest
-    groups: dict[int, list[Heap]] = {}
-    for heap in heap_set.heaps:
-        groups.setdefault(heap.count, []).append(heap)
-    rows = tuple(_row(count, heaps) for count, heaps in sorted(groups.items()))
+    rows = tuple(
+        (
+            *map(str, (part.count, part.train, part.held_out)),
+            *(f"{share:.0%}" for share in part.occlusion),
+        )
+        for part in heap_set.summary()
+    )
     columns = ("objects", "training", "held out", "occlusion", "lowest", "highest")
-    config = manifest["config"]
     caption = (
-        f"{len(heap_set.heaps)} {config['condition']} heaps of {config['objects']} objects, seed "
-        f"{config['seed']}, {manifest['acceptance_rate']:.0%} of the drops accepted\n"
-        f"sha256 {heap_set.hash}"
+        f"{len(heap_set.heaps)} {heap_set.condition} heaps of {heap_set.objects} objects, seed "
+        f"{heap_set.manifest['config']['seed']}, {heap_set.manifest['acceptance_rate']:.0%} of the "
+        f"drops accepted\nsha256 {heap_set.hash}"
     )
     return to_text(Table(caption, columns, rows))
-
-
-def _row(count: int, heaps: list[Heap]) -> tuple[str, ...]:
-    occlusions = [heap.occlusion for heap in heaps]
-    held_out = sum(heap.held_out for heap in heaps)
-    shares = (np.mean(occlusions), min(occlusions), max(occlusions))
-    numbers = (count, len(heaps) - held_out, held_out)
-    return (*map(str, numbers), *(f"{share:.0%}" for share in shares))

@@ -7,16 +7,13 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import Command, say, wrote
+from mechsearch.cli.command import Command, bars, say, wrote
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.objects.catalog import load_object_set, ycb_folder
 from mechsearch.objects.model import ObjectModel
 from mechsearch.objects.ycb.download import OFFICIAL, pull_ycb
 from mechsearch.pictures.sheet import object_sheet
-
-FLAGGED_ERROR = 0.005
-"""Distance between mesh and convex parts above which an object is flagged [m]."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,8 @@ class Pull(Command):
     def run(self) -> None:
         """Download, and say what came."""
         folder = self.folder or ycb_folder()
-        pulled = pull_ycb(folder, self.site, self.names or None)
+        with bars() as progress:
+            pulled = pull_ycb(folder, self.site, self.names or None, progress)
         say(
             f"{len(pulled.fetched)} objects downloaded, {len(pulled.present)} were there already, "
             f"{len(pulled.without_scan)} have no scan; they are in {folder}"
@@ -61,7 +59,7 @@ class List(Command):
         rows = tuple(_row(model) for model in found.models.values())
         columns = ("object", "category", "size [cm]", "mass [g]", "parts", "hull error [mm]")
         say(to_text(Table(f"{found.name}: {len(rows)} objects", columns, rows)))
-        flagged = [m.name for m in found.models.values() if m.hull_error > FLAGGED_ERROR]
+        flagged = [name for name, model in found.models.items() if model.flagged]
         if flagged:
             say(f"! more than 5 mm between mesh and convex parts: {', '.join(flagged)}\n")
         if found.excluded:
@@ -94,7 +92,7 @@ class Sheet(Command):
 
 def _row(model: ObjectModel) -> tuple[str, ...]:
     size = " x ".join(f"{side * 100:.1f}" for side in np.ptp(model.vertices, axis=0))
-    mark = " !" if model.hull_error > FLAGGED_ERROR else ""
+    mark = " !" if model.flagged else ""
     error = f"{model.hull_error * 1000:.1f}{mark}"
     parts, mass = str(len(model.parts)), f"{model.mass * 1000:.0f}"
     return model.name, model.category, size, mass, parts, error

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from mechsearch.cli.command import WORKERS, Command, say, spread, wrote
+from mechsearch.cli.command import WORKERS, Command, open_mapper, say, wrote
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
@@ -16,7 +16,6 @@ from mechsearch.experiments.status import (
     status_of,
 )
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.processes import map_in_order, map_long_work
 from mechsearch.retrieval.episodes import assessor
 
 
@@ -85,9 +84,8 @@ class Sweep(Command):
         # A network that is no good is refused before hours of work rather than after them.
         network = Path(plan.grasp_network) if plan.grasp_network else None
         grasp = assessor(network) if plan.grasps else None
-        with spread(self.workers, self.ray, self.ray_address) as (workers, mapper):
-            long = map_long_work if mapper is map_in_order else mapper
-            found = carry_out(plan, self.out, workers, long, grasp, _Teller(), self.only)
+        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
+            found = carry_out(plan, self.out, workers, mapper, grasp, _Teller(), self.only)
         say(to_text(_table(found)))
         _say_reasons(found)
         wrote(folder.summary)

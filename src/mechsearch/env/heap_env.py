@@ -349,13 +349,14 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
         if self.render_mode != "rgb_array":
             return None
+        _ = self.heap
         return self._frame(256, colour=True).rgb
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that the rest of the episode depends on, as arrays."""
         return {
             "heap": np.array(self._heap_index),
-            "world": self._world.snapshot(),
+            "world": self.world.snapshot(),
             "poses": self._poses.copy(),
             "present": self._present.copy(),
             "occlusion": np.array(self._occlusion),

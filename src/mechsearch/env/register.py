@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from mechsearch import heaps as heap_sets
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.vector.vector_env import VectorHeapEnv
-from mechsearch.heaps.dataset import HeapSet, load, open_heaps
+from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps
 from mechsearch.heaps.heap import check_condition
 from mechsearch.types import MechSearchError
 
@@ -24,7 +24,7 @@ def embedded_file(condition: str) -> Path:
 
 def embedded_heaps(condition: str) -> HeapSet:
     """Return the small heap set of household objects that the package holds."""
-    return load(embedded_file(condition))
+    return load_heaps(embedded_file(condition))
 
 
 def make_env(

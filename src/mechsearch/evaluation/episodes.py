@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
-from mechsearch.heaps.choice import evenly_spread
+from mechsearch.heaps.heap import evenly_spread
 from mechsearch.types import Array, Floats, MechSearchError
 
 EPISODE_FORMAT = 1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.heaps.dataset import HeapSet, load
+from mechsearch.heaps.dataset import HeapSet, load_heaps
 
 
 @dataclass(frozen=True)
@@ -76,4 +76,4 @@ class Job:
 @lru_cache(maxsize=4)
 def _loaded(path: Path, modified: int, size: int) -> HeapSet:
     """Return a heap set, read once as long as its file stays the same."""
-    return load(path)
+    return load_heaps(path)

@@ -15,7 +15,7 @@ from mechsearch.files import (
     record_from_json,
     write_record,
 )
-from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
@@ -203,7 +203,7 @@ def _checked(plan: SweepPlan, condition: str) -> str:
         held_out = plan.generated(condition).heaps // 2
         _check_sizes(plan, f"the {condition} heaps that are generated", held_out)
         return "generated"
-    heap_set = load(Path(file))
+    heap_set = load_heaps(Path(file))
     _check_condition(heap_set, condition, file)
     check_objects(heap_set, object_set(plan.objects or str(heap_set.manifest["config"]["objects"])))
     _check_sizes(plan, file, len(heap_set.held_out))

@@ -44,7 +44,7 @@ def run_all(
     """
     results: list[Summary | Failure] = []
     work: Callable[[Config], Summary | Failure] = run
-    for result in mapper(work, configs, workers, time_limit, _failure):
+    for result in mapper(work, configs, workers, time_limit, _failure, 1):
         results.append(result)
         progress("runs", len(results), len(configs))
     return results

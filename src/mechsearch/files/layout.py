@@ -1,4 +1,9 @@
-"""Every file name of a run directory and of a sweep's folder, once."""
+"""Every file name of a run directory and of a sweep's folder, once, and the user's cache folder."""
+
+import os
+from pathlib import Path
+
+from platformdirs import user_cache_dir
 
 CONFIG_FILE = "config.json"
 """What a run is: its task, its algorithm and its schedule."""
@@ -31,3 +36,8 @@ EVALUATIONS_FOLDER = "evaluations"
 
 SCORES_SUFFIX = ".scores.npz"
 """Ends the name of the compact scores beside episodes: those of `a.npz` are in `a.scores.npz`."""
+
+
+def cache_folder() -> Path:
+    """Return the user's cache folder, or the one that MECHSEARCH_CACHE names."""
+    return Path(os.environ.get("MECHSEARCH_CACHE") or user_cache_dir("mechsearch"))

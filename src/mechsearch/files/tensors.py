@@ -18,7 +18,7 @@ from torch.optim import Optimizer
 from mechsearch.files import write_whole
 from mechsearch.types import MechSearchError
 
-FORMAT = 1
+ARCHIVE_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def save_archive(path: Path, archive: Archive) -> None:
     """Write an archive with checksums, whole or not at all."""
     tensors = {name: tensor.contiguous() for name, tensor in archive.tensors.items()}
     checks = {name: _checksum(tensor) for name, tensor in tensors.items()}
-    meta = {"kind": archive.kind, "format": FORMAT, "checks": checks, **archive.meta}
+    meta = {"kind": archive.kind, "format": ARCHIVE_FORMAT, "checks": checks, **archive.meta}
     text = json.dumps(meta, sort_keys=True)
     # One entry alone: safetensors writes several in no fixed order.
     header = {"mechsearch": f"{crc32(text.encode())} {text}"}
@@ -122,13 +122,7 @@ def kind_of(path: Path) -> str:
     Raises:
         MechSearchError: If the file is missing, damaged or not written by mechsearch.
     """
-    if not path.is_file():
-        raise MechSearchError(f"no trained policy at {path}")
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-    except (SafetensorError, ValueError, OSError) as error:
-        raise MechSearchError(f"{path} is damaged: {error}") from None
+    header, _ = _read(path, "trained policy", whole=False)
     return str(_meta(header, str(path))["kind"])
 
 
@@ -138,22 +132,27 @@ def load_archive(path: Path, kind: str) -> Archive:
     Raises:
         MechSearchError: If the file is missing, damaged or of another kind or format.
     """
+    header, tensors = _read(path, kind)
+    meta = _verified(header, tensors, f"the {kind} at {path}")
+    found = (meta.pop("kind"), meta.pop("format"))
+    if found != (kind, ARCHIVE_FORMAT):
+        raise MechSearchError(
+            f"{path} holds a {found[0]} of format {found[1]}; expected a {kind} of format "
+            f"{ARCHIVE_FORMAT}"
+        )
+    return Archive(kind, tensors, meta)
+
+
+def _read(path: Path, kind: str, whole: bool = True) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Return the header and, of the whole, the tensors of a safetensors file."""
     if not path.is_file():
         raise MechSearchError(f"no {kind} at {path}")
     try:
         with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            names = list(file.keys())
-            tensors = {name: file.get_tensor(name) for name in names}
+            names = list(file.keys()) if whole else []
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in names}
     except (SafetensorError, ValueError, OSError) as error:
         raise MechSearchError(f"the {kind} at {path} is damaged: {error}") from None
-    meta = _verified(header, tensors, f"the {kind} at {path}")
-    found = (meta.pop("kind"), meta.pop("format"))
-    if found != (kind, FORMAT):
-        raise MechSearchError(
-            f"{path} holds a {found[0]} of format {found[1]}; expected a {kind} of format {FORMAT}"
-        )
-    return Archive(kind, tensors, meta)
 
 
 def _checksum(tensor: Tensor) -> int:

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +14,16 @@ import pyarrow.parquet as pq
 
 from mechsearch.camera import preset
 from mechsearch.files import write_whole
-from mechsearch.heaps.choice import evenly_spread
-from mechsearch.heaps.heap import Heap
-from mechsearch.objects.catalog import load_object_set, set_hashes
+from mechsearch.heaps.heap import Heap, evenly_spread
+from mechsearch.objects.catalog import load_object_set
 from mechsearch.objects.model import ObjectSet
-from mechsearch.processes import (
-    Failure,
-    Progress,
-    map_in_order,
-    silent,
-)
+from mechsearch.processes import Failure, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
-from mechsearch.sim.settle import REST_LIMIT, drift
+from mechsearch.sim.world import REST_LIMIT, drift
 from mechsearch.types import MechSearchError
 
-FORMAT = 1
+HEAPS_FORMAT = 1
 
 SPLITS = ("held-out", "train", "all")
 """Halves of a heap set, and both of them."""
@@ -49,6 +43,23 @@ _SCHEMA = pa.schema(
         ("held_out", pa.bool_()),
     ]
 )
+
+
+@dataclass(frozen=True)
+class CountSummary:
+    """The heaps of one object count.
+
+    Attributes:
+        count: Objects in each heap.
+        train: How many are for training.
+        held_out: How many are kept for evaluation.
+        occlusion: Of their targets: mean, least and greatest.
+    """
+
+    count: int
+    train: int
+    held_out: int
+    occlusion: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +122,20 @@ class HeapSet:
             )
         return tuple(found[i] for i in evenly_spread(len(found), limit or len(found)))
 
+    def summary(self) -> list[CountSummary]:
+        """Return what the set holds, by object count."""
+        found = []
+        for count in sorted({heap.count for heap in self.heaps}):
+            heaps = [heap for heap in self.heaps if heap.count == count]
+            held_out, hidden = sum(h.held_out for h in heaps), [h.occlusion for h in heaps]
+            shares = float(np.mean(hidden)), min(hidden), max(hidden)
+            found.append(CountSummary(count, len(heaps) - held_out, held_out, shares))
+        return found
+
 
 def heap_to_json(heap: Heap) -> dict[str, Any]:
     """Return a heap as plain lists and numbers."""
-    return {
-        "objects": list(heap.objects),
-        "poses": heap.poses.ravel().tolist(),
-        "target": heap.target,
-        "occlusion": heap.occlusion,
-        "seed": heap.seed,
-        "count": heap.count,
-        "condition": heap.condition,
-        "held_out": heap.held_out,
-    }
+    return {**vars(heap), "objects": list(heap.objects), "poses": heap.poses.ravel().tolist()}
 
 
 def heap_from_json(row: Mapping[str, Any]) -> Heap:
@@ -132,7 +144,7 @@ def heap_from_json(row: Mapping[str, Any]) -> Heap:
     return Heap(**{**row, "objects": tuple(row["objects"]), "poses": poses})
 
 
-def save(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> HeapSet:
+def save_heaps(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> HeapSet:
     """Write a heap set, whole or not at all."""
     heap_set = HeapSet(tuple(heaps), dict(manifest), _hash(heaps, manifest))
     metadata = {
@@ -146,7 +158,7 @@ def save(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> Heap
     return heap_set
 
 
-def load(path: Path) -> HeapSet:
+def load_heaps(path: Path) -> HeapSet:
     """Read a heap set.
 
     Raises:
@@ -164,9 +176,10 @@ def load(path: Path) -> HeapSet:
         raise MechSearchError(f"{path} is not a heap set, or is damaged: {error}") from None
     if not isinstance(manifest, dict):
         raise MechSearchError(f"{path} is not a heap set: its manifest is {manifest!r}")
-    if manifest.get("format") != FORMAT:
+    if manifest.get("format") != HEAPS_FORMAT:
         raise MechSearchError(
-            f"{path} has heap set format {manifest.get('format')}; this version reads {FORMAT}"
+            f"{path} has heap set format {manifest.get('format')}; this version reads "
+            f"{HEAPS_FORMAT}"
         )
     found = _hash(heaps, manifest)
     if found != recorded:
@@ -193,7 +206,7 @@ def open_heaps(path: Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
     Raises:
         MechSearchError: If one of the two is missing or damaged, or they do not fit.
     """
-    heap_set = load(path)
+    heap_set = load_heaps(path)
     found = object_set(objects or heap_set.objects)
     check_objects(heap_set, found)
     return heap_set, found
@@ -211,12 +224,11 @@ def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
     Raises:
         MechSearchError: Naming the first objects that are missing or differ.
     """
-    recorded, present = heap_set.manifest["object_hashes"], set_hashes(objects)
-    used = sorted({name for heap in heap_set.heaps for name in heap.objects})
-    wrong = [name for name in used if present.get(name) != recorded[name]]
+    used = {name for heap in heap_set.heaps for name in heap.objects}
+    wrong = objects.differing({name: heap_set.manifest["object_hashes"][name] for name in used})
     if wrong:
         raise MechSearchError(
-            f"this heap set was made with {heap_set.manifest['config']['objects']!r} objects, and "
+            f"this heap set was made with {heap_set.objects!r} objects, and "
             f"{len(wrong)} of the {len(used)} that it uses are missing from or differ in "
             f"{objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
         )
@@ -242,16 +254,11 @@ class Check:
         return self.drift <= REST_LIMIT and abs(self.occlusion_error) < 1e-9
 
 
-@dataclass(frozen=True)
-class _CheckHeap:
-    objects: str
-    camera: str
-
-    def __call__(self, heap: Heap) -> Check:
-        models = [object_set(self.objects).models[name] for name in heap.objects]
-        bodies = [body_of(model) for model in models]
-        measured = occlusion(bodies, preset(self.camera), heap.poses, heap.target)
-        return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
+def _checked(objects: str, camera: str, heap: Heap) -> Check:
+    models = [object_set(objects).models[name] for name in heap.objects]
+    bodies = [body_of(model) for model in models]
+    measured = occlusion(bodies, preset(camera), heap.poses, heap.target)
+    return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
 
 
 def _unverified(heap: Heap, failure: Failure) -> Check:
@@ -262,21 +269,22 @@ def _unverified(heap: Heap, failure: Failure) -> Check:
 
 
 def verify(
-    heap_set: HeapSet, objects: str, workers: int = 1, progress: Progress = silent
+    heap_set: HeapSet, objects: str = "", workers: int = 1, progress: Progress = silent
 ) -> Iterator[Check]:
     """Restore every heap, and measure its rest and its target's occlusion.
 
     Args:
         heap_set: What to verify.
-        objects: Object set, as given to `load_object_set`.
+        objects: Object set; empty takes the one that the heaps were made with.
         workers: Number of processes.
         progress: Told after each heap.
 
     Raises:
         MechSearchError: If the set was made with other objects.
     """
-    check_objects(heap_set, object_set(objects))
-    check = _CheckHeap(objects, heap_set.camera)
+    named = objects or heap_set.objects
+    check_objects(heap_set, object_set(named))
+    check = partial(_checked, named, heap_set.camera)
     checks = map_in_order(check, heap_set.heaps, workers, CHECK_LIMIT, _unverified)
     for i, result in enumerate(checks):
         progress("verified", i + 1, len(heap_set.heaps))

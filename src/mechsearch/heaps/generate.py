@@ -7,6 +7,7 @@ taken in their order, so a heap set does not depend on the number of workers.
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,24 +24,16 @@ from mechsearch.files import (
     write_text,
 )
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
-from mechsearch.heaps.dataset import FORMAT, HeapSet, object_set, save
+from mechsearch.heaps.dataset import HEAPS_FORMAT, HeapSet, object_set, save_heaps
 from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
 from mechsearch.heaps.quota import Drop, Quota, drops_until_full
-from mechsearch.objects.catalog import set_hashes
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.processes import (
-    Failure,
-    Mapper,
-    Progress,
-    map_in_order,
-    silent,
-)
+from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.render.body import body_of
 from mechsearch.render.visibility import occlusion
 from mechsearch.sim.scene import PhysicsConfig, Wall
-from mechsearch.sim.settle import REST_LIMIT, drift, settle
 from mechsearch.sim.workspace import Workspace
-from mechsearch.sim.world import ENGINE_VERSION, World
+from mechsearch.sim.world import ENGINE_VERSION, REST_LIMIT, World, drift, settle
 from mechsearch.types import Floats, MechSearchError
 
 DROPS = ("wall", "open")
@@ -148,7 +141,7 @@ def _generate_alone(
     for one in quotas.values():
         progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
     drops = drops_until_full(quotas.values())
-    for drop in mapper(_Attempt(config), drops, workers, ATTEMPT_LIMIT, _lost):
+    for drop in mapper(partial(_attempted, config), drops, workers, ATTEMPT_LIMIT, _lost):
         one = quotas[drop.count]
         if one.full:
             continue
@@ -158,7 +151,7 @@ def _generate_alone(
             progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
         if all(one.full for one in quotas.values()):
             break
-    heap_set = save(path, *_collected(config, objects, list(quotas.values())))
+    heap_set = save_heaps(path, *_collected(config, objects, list(quotas.values())))
     journal.unlink()
     journal.with_suffix(".json").unlink()
     return heap_set
@@ -168,12 +161,15 @@ def _collected(
     config: GenerateConfig, objects: ObjectSet, quotas: Sequence[Quota]
 ) -> tuple[list[Heap], dict[str, Any]]:
     """Return all heaps and their manifest."""
-    heaps = [heap for quota in quotas for heap in _hold_out_half(quota.heaps)]
+    # Every second heap is held out, so that each object count is halved.
+    heaps = [
+        replace(heap, held_out=i % 2 == 1) for quota in quotas for i, heap in enumerate(quota.heaps)
+    ]
     manifest = {
-        "format": FORMAT,
+        "format": HEAPS_FORMAT,
         "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
         "engine": ENGINE_VERSION,
-        "object_hashes": set_hashes(objects),
+        "object_hashes": objects.hashes,
         "attempts": {str(quota.count): quota.tried for quota in quotas},
         "acceptance_rate": len(heaps) / max(sum(quota.tried for quota in quotas), 1),
     }
@@ -223,10 +219,7 @@ def _walls(condition: str, count: int, rng: np.random.Generator) -> tuple[Wall, 
     x, y = rng.uniform(-0.02, 0.02, 2)
     angle, half = rng.uniform(0, 2 * np.pi), radius + rng.uniform(0.02, 0.04)
     dx, dy = half * np.cos(angle), half * np.sin(angle)
-    return (
-        Wall(float(x + dx), float(y + dy), radius),
-        Wall(float(x - dx), float(y - dy), radius),
-    )
+    return (Wall(float(x + dx), float(y + dy), radius), Wall(float(x - dx), float(y - dy), radius))
 
 
 def _orientation(
@@ -275,15 +268,9 @@ def _drop(
     return world.poses
 
 
-@dataclass(frozen=True)
-class _Attempt:
-    """`attempt` with its first arguments bound, for worker processes."""
-
-    config: GenerateConfig
-
-    def __call__(self, drop: Drop) -> Drop:
-        objects = object_set(self.config.objects)
-        return replace(drop, heap=attempt(self.config, objects, drop.count, drop.number))
+def _attempted(config: GenerateConfig, drop: Drop) -> Drop:
+    objects = object_set(config.objects)
+    return replace(drop, heap=attempt(config, objects, drop.count, drop.number))
 
 
 def _lost(drop: Drop, failure: Failure) -> Drop:
@@ -293,18 +280,13 @@ def _lost(drop: Drop, failure: Failure) -> Drop:
     return replace(drop, lost=failure.reason)
 
 
-def _hold_out_half(heaps: list[Heap]) -> list[Heap]:
-    """Hold out every second heap, so that each object count is halved."""
-    return [replace(heap, held_out=i % 2 == 1) for i, heap in enumerate(heaps)]
-
-
 def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Path:
     """Return the file of attempts so far, empty or of the very same set."""
     journal = path.with_name(f".{path.stem}.attempts.jsonl")
     identity = {
         "config": {**asdict(config), "counts": list(config.object_counts)},
         "engine": ENGINE_VERSION,
-        "object_hashes": dict(set_hashes(objects)),
+        "object_hashes": objects.hashes,
     }
     header = journal.with_suffix(".json")
     if path.exists():

@@ -1,4 +1,4 @@
-"""One heap: which objects lie where, and which of them is the target."""
+"""One heap: which objects lie where, and which of them is the target; and some of many heaps."""
 
 from dataclasses import dataclass
 
@@ -44,3 +44,11 @@ def check_condition(condition: str) -> str:
             f"unknown condition {condition!r}; choose one of {', '.join(CONDITIONS)}"
         )
     return condition
+
+
+def evenly_spread(count: int, chosen: int) -> list[int]:
+    """Return `chosen` of the indices below `count`, evenly spread.
+
+    Heaps are kept by object count, so an even spread has all counts alike.
+    """
+    return [i * count // chosen for i in range(chosen)]

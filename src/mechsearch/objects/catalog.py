@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from mechsearch.files.layout import cache_folder
 from mechsearch.objects.folder import load_folder
 from mechsearch.objects.household.object_set import household
-from mechsearch.objects.meshes.cache import cache_folder
-from mechsearch.objects.meshes.limits import FLAGGED_ERROR
 from mechsearch.objects.model import ObjectSet
+from mechsearch.objects.ycb.download import SCAN
 from mechsearch.types import MechSearchError
 
 
@@ -24,7 +24,13 @@ def load_object_set(spec: str | Path, workers: int | None = None) -> ObjectSet:
     if spec == "household":
         return household()
     if spec == "ycb":
-        return _ycb(workers)
+        folder = ycb_folder()
+        if not any(folder.glob(f"*/{SCAN.as_posix()}")):
+            raise MechSearchError(
+                f"no YCB objects at {folder}; run `mechsearch assets pull ycb`, or pass the folder "
+                f"of a copy in the official layout (NNN_name/{SCAN.as_posix()})"
+            )
+        return load_folder(folder, name="ycb", workers=workers, need_masses=False)
     folder = Path(spec).expanduser()
     if not folder.exists():
         raise MechSearchError(
@@ -33,30 +39,6 @@ def load_object_set(spec: str | Path, workers: int | None = None) -> ObjectSet:
     return load_folder(folder, workers=workers)
 
 
-def set_hashes(objects: ObjectSet) -> dict[str, str]:
-    """Return the content hash of each object in a set, by name."""
-    return {name: model.content_hash for name, model in objects.models.items()}
-
-
-def flagged(objects: ObjectSet) -> dict[str, float]:
-    """Return hull errors [m], by name, of the objects whose parts stray over 5 mm from the mesh."""
-    return {
-        name: model.hull_error
-        for name, model in objects.models.items()
-        if model.hull_error > FLAGGED_ERROR
-    }
-
-
 def ycb_folder() -> Path:
     """Return where downloaded YCB objects are kept."""
     return cache_folder() / "ycb"
-
-
-def _ycb(workers: int | None) -> ObjectSet:
-    folder = ycb_folder()
-    if not any(folder.glob("*/google_16k/textured.obj")):
-        raise MechSearchError(
-            f"no YCB objects at {folder}; run `mechsearch assets pull ycb`, or pass the folder of "
-            "a copy in the official layout (NNN_name/google_16k/textured.obj)"
-        )
-    return load_folder(folder, name="ycb", workers=workers, need_masses=False)

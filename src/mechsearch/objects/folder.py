@@ -1,17 +1,19 @@
 """An object set from any folder of meshes with masses."""
 
-from collections.abc import Iterable, Mapping
+import csv
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
-from mechsearch.objects.masses import Entry, read_masses, ycb_masses
+import numpy as np
+
+from mechsearch.objects.meshes.cache import prepare_all
 from mechsearch.objects.meshes.mesh_file import SUFFIXES
-from mechsearch.objects.meshes.parallel import prepare_all
 from mechsearch.objects.meshes.prepare import Source
 from mechsearch.objects.model import ObjectSet
+from mechsearch.objects.ycb.download import SCAN
+from mechsearch.processes.progress import bars
 from mechsearch.types import MechSearchError
-
-SCAN = Path("google_16k", "textured.obj")
-"""Where the official YCB download keeps the mesh of an object."""
 
 _LAYOUTS = (
     "expected YCB objects (NNN_name/google_16k/textured.obj) or mesh files (*.obj, *.stl, *.glb), "
@@ -47,9 +49,15 @@ def load_folder(
             f"in {table}"
         )
     excluded = dict.fromkeys(missing, "no published mass")
-    sources = _sources(meshes, masses)
+    sources = [
+        Source(item, masses[item].category, mesh, masses[item].mass)
+        for item, mesh in meshes.items()
+        if item in masses
+    ]
+    with bars() as progress:
+        prepared = prepare_all(sources, workers, progress)
     models = {}
-    for source, done in zip(sources, prepare_all(sources, workers), strict=True):
+    for source, done in zip(sources, prepared, strict=True):
         if done.excluded:
             excluded[source.name] = done.excluded
         else:
@@ -72,27 +80,75 @@ def find_meshes(folder: Path) -> dict[str, Path]:
     scans = {path.parent.parent.name: path for path in folder.glob(f"*/{SCAN.as_posix()}")}
     if scans:
         return dict(sorted(scans.items()))
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
-    if not files:
+    meshes = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    if not meshes:
         raise MechSearchError(f"the object folder {folder} holds no objects; {_LAYOUTS}")
-    return dict(sorted(_by_stem(files).items()))
-
-
-def _by_stem(paths: Iterable[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for path in sorted(paths):
+    for path in sorted(meshes):
         other = found.setdefault(path.stem, path)
         if other != path:
             raise MechSearchError(
-                f"{other.name} and {path.name} in {path.parent} name the same object "
-                f"{path.stem!r}; expected one mesh for each"
+                f"{other.name} and {path.name} in {folder} name the same object {path.stem!r}; "
+                "expected one mesh for each"
             )
-    return found
+    return dict(sorted(found.items()))
 
 
-def _sources(meshes: Mapping[str, Path], masses: Mapping[str, Entry]) -> list[Source]:
-    return [
-        Source(name, masses[name].category, path, masses[name].mass)
-        for name, path in meshes.items()
-        if name in masses
-    ]
+@dataclass(frozen=True)
+class MassRow:
+    """One row of a table of masses.
+
+    Attributes:
+        mass: [kg].
+        category: Free text.
+    """
+
+    mass: float
+    category: str
+
+
+def read_masses(path: Path) -> dict[str, MassRow]:
+    """Return the rows of a table with columns object, mass_kg and, optionally, category.
+
+    Raises:
+        MechSearchError: If the table cannot be read, lacks a column or has a mass that is not a
+            positive number.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise MechSearchError(f"cannot read the masses at {path}: {error}") from None
+    return _parse(text, str(path))
+
+
+def ycb_masses() -> dict[str, MassRow]:
+    """Return the published masses of YCB objects (Calli et al., 2015), by object name."""
+    table = files("mechsearch.objects.ycb").joinpath("masses.csv")
+    return _parse(table.read_text(encoding="utf-8"), "the published masses")
+
+
+def _parse(text: str, origin: str) -> dict[str, MassRow]:
+    rows = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    if not {"object", "mass_kg"} <= set(rows.fieldnames or ()):
+        raise MechSearchError(
+            f"{origin} has the columns {', '.join(rows.fieldnames or ['(none)'])}; expected "
+            "object,mass_kg and, if wanted, category"
+        )
+    rows_by_name: dict[str, MassRow] = {}
+    for row in rows:
+        name = (row["object"] or "").strip()
+        rows_by_name[name] = MassRow(
+            _positive(row["mass_kg"], f"the mass of {name!r} in {origin}"),
+            (row.get("category") or "object").strip(),
+        )
+    return rows_by_name
+
+
+def _positive(text: str | None, what: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not (np.isfinite(value) and value > 0):
+        raise MechSearchError(f"{what} is {text!r}; expected a positive number of kilograms")
+    return value

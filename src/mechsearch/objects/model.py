@@ -1,12 +1,22 @@
-"""One rigid object, ready for physics and rendering."""
+"""One rigid object, ready for physics and rendering, its identity, and sets of them."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from mechsearch.types import Floats
+from mechsearch.types import Array, Floats
+
+FRICTION = 0.5
+"""Sliding coefficient of an object whose own is unknown; about wood on wood."""
+
+TEXEL_ROWS = 6
+"""Rows of the grid of colours on a triangle."""
+
+FLAGGED_ERROR = 0.005
+"""Distance between mesh and convex parts [m] above which an object is flagged, not excluded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +59,11 @@ class ObjectModel:
         """Radius of the sphere about the centre of mass that holds the mesh [m]."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
+    @property
+    def flagged(self) -> bool:
+        """Whether its parts stray over 5 mm from its mesh."""
+        return self.hull_error > FLAGGED_ERROR
+
 
 @dataclass(frozen=True, eq=False)
 class ObjectSet:
@@ -63,3 +78,66 @@ class ObjectSet:
     name: str
     models: Mapping[str, ObjectModel]
     excluded: Mapping[str, str]
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """Content hash of each object, by name."""
+        return {name: model.content_hash for name, model in self.models.items()}
+
+    def differing(self, recorded: Mapping[str, str]) -> list[str]:
+        """Return the names, of recorded content hashes, that are missing or have another here."""
+        present = self.hashes
+        return sorted(name for name in recorded if present.get(name) != recorded[name])
+
+
+def texel_weights(rows: int, inset: float) -> Floats:
+    """Return barycentric coordinates (T, 3) of one point in each texel of `ObjectModel`'s grid.
+
+    Args:
+        rows: Of the grid, so that T = rows (rows + 1) / 2.
+        inset: Of the point from the corner where its cell begins, as a share of the cell's side.
+    """
+    cells = [(i, j) for i in range(rows) for j in range(rows - i)]
+    second, third = (np.array(cells, np.float64).T + inset) / rows
+    return np.stack([1 - second - third, second, third], axis=1)
+
+
+def content_hash(
+    name: str,
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    texels: ArrayLike,
+    parts: Iterable[ArrayLike],
+    mass: float,
+    inertia: ArrayLike,
+    friction: float,
+) -> str:
+    """Return a SHA-256 digest (64 hexadecimal digits) of one object.
+
+    Every array is hashed with its shape in a fixed type and byte order, and -0 as 0, so equal
+    objects have equal digests on every machine, and no two different lists of arrays look alike.
+
+    Args:
+        name: Of the object.
+        vertices: Visual mesh (V, 3) [m].
+        faces: Triangles (F, 3), vertex indices.
+        texels: Colours (F, T, 3) uint8.
+        parts: Convex parts, each (P, 3) [m].
+        mass: [kg].
+        inertia: About the origin (3, 3) [kg m^2].
+        friction: Sliding coefficient.
+    """
+    digest = hashlib.sha256(f"{name!r}".encode())
+    arrays: list[Array] = [
+        np.asarray(vertices, "<f8"),
+        np.asarray(faces, "<i4"),
+        np.asarray(texels, "u1"),
+        np.asarray(mass, "<f8"),
+        np.asarray(inertia, "<f8"),
+        np.asarray(friction, "<f8"),
+        *(np.asarray(part, "<f8") for part in parts),
+    ]
+    for array in arrays:
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update((array + array.dtype.type(0)).tobytes())
+    return digest.hexdigest()

@@ -2,11 +2,11 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, Generic, NoReturn, Protocol, TypeVar
+from typing import Generic, NoReturn, Protocol, TypeVar
 
-from mechsearch.processes.workers import Failure, Worker, replies
+from mechsearch.processes.workers import Crew, Failure, Reply, Worker, replies
 from mechsearch.types import MechSearchError
 
 Input = TypeVar("Input")
@@ -19,9 +19,6 @@ PROCESSORS = (
 
 TRIES = 2
 """An input that fails on so many workers is not tried again."""
-
-_ASKED = 2
-"""Inputs that a worker holds: the one it works on and the next, so that it never waits."""
 
 
 class Progress(Protocol):
@@ -51,7 +48,7 @@ def raise_failure(item: object, failure: Failure) -> NoReturn:
 
 
 class Mapper(Protocol):
-    """How work is spread; `map_in_order` on this machine, `experiments.cluster.ray_map` on many."""
+    """How work is spread: by `map_in_order` on this machine, by `ray_cluster.ray_map` on many."""
 
     def __call__(
         self,
@@ -60,8 +57,24 @@ class Mapper(Protocol):
         workers: int,
         time_limit: float | None = None,
         instead: Callable[[Input, Failure], Result] = raise_failure,
+        held: int = 2,
     ) -> Iterator[Result]:
-        """Yield function(input) for each input, in order; see `map_in_order`."""
+        """Yield function(input) for each input, in order, computed by `workers` processes.
+
+        A worker that dies or hangs is replaced, and the input it was at is tried again; so is an
+        input for which the function raised. What fails twice is handed to `instead`. A
+        MechSearchError is bad input and stops the map at once.
+
+        Args:
+            function: Must pickle, and give the same result wherever it runs.
+            inputs: Perhaps endless; at most a few for each worker are computed ahead.
+            workers: Number of processes; one means this very process, where nothing can be killed.
+            time_limit: Time that one input may take [s].
+            instead: Given an input that failed twice and its last failure, returns what is yielded
+                in the result's place, or raises.
+            held: Inputs that a worker holds: the one it works on, and the next, so that it never
+                waits; 1 for work of minutes, so that no input waits behind another.
+        """
 
 
 def map_in_order(
@@ -70,52 +83,48 @@ def map_in_order(
     workers: int,
     time_limit: float | None = None,
     instead: Callable[[Input, Failure], Result] = raise_failure,
+    held: int = 2,
 ) -> Iterator[Result]:
-    """Yield function(input) for each input, in order, computed by `workers` processes.
-
-    A worker that dies or hangs is replaced, and the input it was at is tried again; so is an input
-    for which the function raised. What fails twice is handed to `instead`. A MechSearchError is
-    bad input and stops the map at once.
-
-    Args:
-        function: Must pickle, and give the same result wherever it runs.
-        inputs: Perhaps endless; at most a few for each worker are computed ahead.
-        workers: Number of processes; one means this very process, where nothing can be killed.
-        time_limit: Time that one input may take [s].
-        instead: Given an input that failed twice and its last failure, returns what is yielded in
-            the result's place, or raises.
-    """
-    return _mapped(function, Ledger(inputs, instead), workers, time_limit, _ASKED)
+    """Map in processes of this machine; see `Mapper`."""
+    ledger = Ledger(inputs, instead)
+    if workers > 1:
+        start = partial(Worker, partial(_same, function))
+        yield from map_with(start, replies, ledger, workers, time_limit, held)
+        return
+    for number, item in iter(partial(ledger.take, 1), None):
+        ledger.settle(number, attempted(function, item))
+        yield from ledger.due()
 
 
-def map_long_work(
-    function: Callable[[Input], Result],
-    inputs: Iterable[Input],
-    workers: int,
-    time_limit: float | None = None,
-    instead: Callable[[Input, Failure], Result] = raise_failure,
-) -> Iterator[Result]:
-    """Do as `map_in_order`, for work of minutes: no input waits behind another at one worker."""
-    return _mapped(function, Ledger(inputs, instead), workers, time_limit, 1)
-
-
-def _mapped(
-    function: Callable[[Input], Result],
+def map_with(
+    start: Callable[[], Crew],
+    replies: Callable[[Sequence[Crew]], Iterator[Reply[Crew]]],
     ledger: "Ledger[Input, Result]",
     workers: int,
     time_limit: float | None,
     held: int,
 ) -> Iterator[Result]:
-    if workers <= 1:
-        for number, item in iter(partial(ledger.take, 1), None):
-            ledger.settle(number, attempted(function, item))
-            yield from ledger.due()
-        return
-    crew: list[Worker] = []
+    """Yield the results of a ledger's inputs, computed by workers of any kind.
+
+    Args:
+        start: Starts one worker.
+        replies: Waits until some of the busy workers have answered or failed.
+        ledger: What is to be done.
+        workers: As many are started as there is work for.
+        time_limit: Time that one input may take [s].
+        held: Inputs that a worker holds.
+    """
+    crew: list[Crew] = []
     try:
         while True:
             yield from ledger.due()
-            _feed(crew, ledger, function, workers, time_limit, held)
+            while len(crew) < workers or any(len(worker.asked) < held for worker in crew):
+                taken = ledger.take(4 * workers)
+                if taken is None:
+                    break
+                if len(crew) < workers and all(worker.asked for worker in crew):
+                    crew.append(start())
+                min(crew, key=lambda worker: len(worker.asked)).ask(*taken, time_limit)
             busy = [worker for worker in crew if worker.asked]
             if not busy:
                 return
@@ -202,25 +211,6 @@ class Ledger(Generic[Input, Result]):
                 raise value.error
             else:
                 yield self._instead(item, value)
-
-
-def _feed(
-    crew: list[Worker],
-    ledger: Ledger[Input, Any],
-    function: Callable[[Input], Any],
-    workers: int,
-    time_limit: float | None,
-    held: int,
-) -> None:
-    """Give every worker something to do, starting as many as there is work for."""
-    while len(crew) < workers or any(len(worker.asked) < held for worker in crew):
-        taken = ledger.take(4 * workers)
-        if taken is None:
-            return
-        if len(crew) < workers and all(worker.asked for worker in crew):
-            crew.append(Worker(partial(_same, function)))
-        number, item = taken
-        min(crew, key=lambda worker: len(worker.asked)).ask(number, item, time_limit)
 
 
 def _same(function: Callable[[Input], Result]) -> Callable[[Input], Result]:

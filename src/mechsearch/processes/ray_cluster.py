@@ -3,17 +3,18 @@
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
 import ray
 from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError, RayTaskError
 
-from mechsearch.processes.mapping import Input, Ledger, Result, attempted, raise_failure
-from mechsearch.processes.workers import START_LIMIT, STARTS, Failure
+from mechsearch.processes.mapping import Input, Ledger, Result, attempted, map_with, raise_failure
+from mechsearch.processes.workers import START_LIMIT, STARTS, Asked, Failure, Reply
 from mechsearch.types import MechSearchError
 
 SAME_EVERYWHERE = ("mechsearch", "mujoco-core", "numpy", "ray")
@@ -62,48 +63,22 @@ def ray_map(
     workers: int,
     time_limit: float | None = None,
     instead: Callable[[Input, Failure], Result] = raise_failure,
+    held: int = 1,
 ) -> Iterator[Result]:
-    """Yield function(input) for each input, in order; `parallel.map_in_order` on a cluster.
+    """Map on a cluster; see `Mapper`.
 
-    Workers are actors of one processor each. One that is lost, with its process or its machine, is
-    replaced, and the input it was at is tried again.
-
-    Args:
-        function: Must pickle, and give the same result wherever it runs; files that it reads must
-            be at the same place on every machine.
-        inputs: Perhaps endless; at most a few for each worker are computed ahead.
-        workers: Number of actors.
-        time_limit: Time that one input may take [s].
-        instead: Given an input that failed twice and its last failure, returns what is yielded in
-            the result's place, or raises.
+    Workers are actors of one processor each, and hold one input each whatever `held` says. One that
+    is lost, with its process or its machine, is replaced. Files that the function reads must be at
+    the same place on every machine.
 
     Raises:
         MechSearchError: If no actor starts, or a machine has other versions.
     """
-    ledger, shared = Ledger(inputs, instead), ray.put(function)
-    needed = min(workers, len(inputs)) if isinstance(inputs, Sized) else workers
-    seats = [_Seat.start(shared) for _ in range(needed)]
-    try:
-        while True:
-            yield from ledger.due()
-            for seat in seats:
-                if seat.reply is None and (taken := ledger.take(4 * workers)):
-                    seat.ask(*taken, time_limit)
-            busy = [seat for seat in seats if seat.reply is not None]
-            if not busy:
-                return
-            for seat in _answered(busy):
-                number, value = seat.take()
-                if isinstance(value, Failure) and value.error is None:
-                    seats[seats.index(seat)] = _Seat.start(shared, seat)
-                if number is not None:
-                    ledger.settle(number, value)
-    finally:
-        for seat in seats:
-            ray.kill(seat.actor)
+    start = partial(RayWorker, ray.put(function))
+    yield from map_with(start, _replies, Ledger(inputs, instead), workers, time_limit, 1)
 
 
-class Hand:
+class RemoteFunction:
     """Does the work, on whichever machine."""
 
     def __init__(self, function: Callable[[Any], Any], folder: str) -> None:
@@ -122,71 +97,93 @@ class Hand:
         return attempted(self._function, item)
 
 
-_Actor: Any = ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Hand)
+_Actor: Any = ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RemoteFunction)
 
 
-@dataclass(eq=False)
-class _Seat:
-    """An actor, what it was asked, and until when it may take."""
+class RayWorker:
+    """An actor of the cluster, as `Worker` is a process of this machine.
 
-    actor: Any
-    reply: Any
-    deadline: float
-    number: int | None = None
-    started: bool = False
-    failed_starts: int = 0
+    Attributes:
+        asked: The request that it works on, if any.
+        alive: Whether it may be asked; once it is not, it must be replaced.
+        reply: What is waited for: first its versions, then each answer.
+        deadline: When it has used up its time, on the monotonic clock.
+    """
 
-    @classmethod
-    def start(cls, function: Any, before: "_Seat | None" = None) -> "_Seat":
-        """Return a new seat, perhaps in the place of one that was lost.
+    def __init__(self, function: Any, failed_starts: int = 0) -> None:
+        """Start an actor.
+
+        Args:
+            function: What it does, put into the cluster.
+            failed_starts: How many before it did not start.
 
         Raises:
-            MechSearchError: If too many in a row did not start.
+            MechSearchError: If too many in a row did not.
         """
-        failed = 0 if before is None or before.started else before.failed_starts + 1
-        if failed == STARTS:
+        if failed_starts == STARTS:
             raise MechSearchError(f"actors do not start on the Ray cluster, tried {STARTS} times")
-        actor = _Actor.remote(function, os.getcwd())
-        deadline = time.monotonic() + START_LIMIT
-        return cls(actor, actor.versions.remote(), deadline, failed_starts=failed)
+        self._function, self._failed_starts = function, failed_starts
+        self._actor = _Actor.remote(function, os.getcwd())
+        self._started, self._answer = False, None
+        self.asked: deque[Asked] = deque()
+        self.alive = True
+        self.reply = self._actor.versions.remote()
+        self.deadline = time.monotonic() + START_LIMIT
 
-    def ask(self, number: int, item: Any, limit: float | None) -> None:
+    def ask(self, key: int, request: Any, limit: float | None = None) -> None:
         """Have one input done."""
-        self.number, self.reply = number, self.actor.answer.remote(item)
+        self.asked.append(Asked(key, limit))
+        self._answer = self._actor.answer.remote(request)
+        if self._started:
+            self._await_answer()
+
+    def _await_answer(self) -> None:
+        limit = self.asked[0].limit
+        self.reply = self._answer
         self.deadline = float("inf") if limit is None else time.monotonic() + limit
 
-    def take(self) -> tuple[int | None, Any]:
-        """Return what was asked, and the result or failure; the seat is free then."""
-        number, reply = self.number, self.reply
-        self.number = self.reply = None
-        if time.monotonic() >= self.deadline and not _is_ready(reply):
-            ray.kill(self.actor)
-            return number, Failure("worker hung")
+    def replace(self) -> "RayWorker":
+        """Return a new worker in the place of this one."""
+        return RayWorker(self._function, 0 if self._started else self._failed_starts + 1)
+
+    def stop(self) -> None:
+        """End the actor, whatever it does."""
+        self.alive = False
+        ray.kill(self._actor)
+
+    def take(self) -> Reply["RayWorker"] | None:
+        """Return what there is to tell after a wait; None for an actor that has just started."""
+        value: Any
         try:
-            value = ray.get(reply)
+            ready, _ = ray.wait([self.reply], timeout=0)
+            value = ray.get(self.reply) if ready else Failure("worker hung")
         except (ActorDiedError, ActorUnavailableError):
-            return number, Failure("worker died")
+            value = Failure("worker died")
         except RayTaskError as error:
-            return number, Failure.of(error)
+            value = Failure.of(error)
         except RayError as error:
-            return number, Failure(f"worker died: {type(error).__name__}")
-        if not self.started:
-            self.started = True
+            value = Failure(f"worker died: {type(error).__name__}")
+        if isinstance(value, Failure) and value.error is None:
+            self.stop()
+        elif not self._started:
+            self._started = True
             _check(value)
-        return number, value
+            self._await_answer()
+            return None
+        return Reply(self, self.asked.popleft().key if self._started else None, value)
 
 
-def _answered(busy: list[_Seat]) -> list[_Seat]:
-    """Wait until an actor has answered, is lost, or has used up its time."""
-    first = min(seat.deadline for seat in busy)
+def _replies(workers: Sequence[RayWorker]) -> Iterator[Reply[RayWorker]]:
+    """Wait until an actor has answered, is lost, or has used up its time; yield what is there."""
+    first = min(worker.deadline for worker in workers)
     timeout = None if first == float("inf") else max(0.0, first - time.monotonic())
-    ready, _ = ray.wait([seat.reply for seat in busy], timeout=timeout)
+    ready, _ = ray.wait([worker.reply for worker in workers], timeout=timeout)
     late = time.monotonic()
-    return [seat for seat in busy if seat.reply in ready or seat.deadline <= late]
-
-
-def _is_ready(reply: Any) -> bool:
-    return bool(ray.wait([reply], timeout=0)[0])
+    for worker in workers:
+        if worker.reply in ready or worker.deadline <= late:
+            reply = worker.take()
+            if reply is not None:
+                yield reply
 
 
 def _versions() -> dict[str, str]:

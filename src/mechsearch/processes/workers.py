@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from mechsearch.types import MechSearchError
 
@@ -53,10 +53,29 @@ class Asked(NamedTuple):
     limit: float | None
 
 
-class Reply(NamedTuple):
+class MapWorker(Protocol):
+    """What a map needs of a worker, wherever it is; see `Worker`."""
+
+    asked: deque[Asked]
+    alive: bool
+
+    def ask(self, key: int, request: Any, limit: float | None = None) -> None:
+        """Send a request."""
+
+    def replace(self) -> Self:
+        """Return a new worker in the place of this one."""
+
+    def stop(self) -> None:
+        """End the process."""
+
+
+Crew = TypeVar("Crew", bound=MapWorker)
+
+
+class Reply(NamedTuple, Generic[Crew]):
     """What became of a request; `key` is None where a worker failed while nobody's turn it was."""
 
-    worker: "Worker"
+    worker: Crew
     key: int | None
     value: Any
 
@@ -117,7 +136,7 @@ class Worker:
         with suppress(OSError):  # If it has died since, the end of its pipe will say so.
             self.pipe.send_bytes(data)
 
-    def reply(self) -> Reply | None:
+    def reply(self) -> "Reply[Worker] | None":
         """Return what there is to tell after `wait`; None for a worker that has just started."""
         try:
             value = self.pipe.recv()
@@ -130,13 +149,13 @@ class Worker:
             return None
         return Reply(self, self.asked.popleft().key, value)
 
-    def fail(self, reason: str) -> Reply:
+    def fail(self, reason: str) -> "Reply[Worker]":
         """End the process; the request whose turn it was has failed."""
         self.stop()
         at_work = self._started and self.asked
         return Reply(self, self.asked.popleft().key if at_work else None, Failure(reason))
 
-    def replace(self) -> "Worker":
+    def replace(self) -> Self:
         """Return a new worker in the place of this one, which is asked nothing yet.
 
         Raises:
@@ -149,7 +168,7 @@ class Worker:
                 f"{failed[-1]}; a script that uses them needs `if __name__ == '__main__':` around "
                 "what it does"
             )
-        return Worker(self._make, failed)
+        return type(self)(self._make, failed)
 
     def stop(self) -> None:
         """End the process, whatever it does."""
@@ -159,7 +178,7 @@ class Worker:
         self._process.join()
 
 
-def replies(workers: Sequence[Worker]) -> Iterator[Reply]:
+def replies(workers: Sequence[Worker]) -> Iterator[Reply[Worker]]:
     """Wait until one of the workers has answered, died, or used up its time; yield what is there.
 
     Args:

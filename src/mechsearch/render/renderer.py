@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.body import NO_HIT, body_of
-from mechsearch.render.view import Block, Projection, View
+from mechsearch.render.visibility import PixelBlock, Projection, View
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -206,7 +206,7 @@ class Renderer:
             return seen.depth, None
         return seen.depth, self._cast(seen, count, blocks[-1])
 
-    def _cast(self, seen: _Seen, index: int, block: Block) -> Patch:
+    def _cast(self, seen: _Seen, index: int, block: PixelBlock) -> Patch:
         """Return what a body, the pusher being the last, shows in a block of the frame."""
         top, bottom, left, right = block
         where = slice(top, bottom), slice(left, right)

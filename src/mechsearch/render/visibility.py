@@ -1,14 +1,147 @@
-"""Occlusion: the share of an object's whole projection that other objects hide."""
+"""Where objects may appear in a camera's image, its rays, and occlusion.
+
+Occlusion is the share of an object's whole projection that other objects hide.
+"""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
+from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.render.body import NO_HIT, Body
-from mechsearch.render.view import Projection, View, overlaps
-from mechsearch.types import Array
+from mechsearch.types import Array, Floats
+
+_ENDS, _BEYOND = np.array([1.0, -1.0, 1.0, -1.0]), np.array([0.0, 1.0, 0.0, 1.0])
+
+_NEAREST = 0.01
+"""Objects that come nearer to the camera's plane [m] may appear anywhere."""
+
+
+PixelBlock = list[int]
+"""A rectangle of pixels: top, bottom, left and right, the second and last beyond it. It may reach
+beyond the frame, and is empty where an end is not after its beginning."""
+
+
+class Projection:
+    """How bodies lie to a camera, whatever its resolution; nothing is computed where none moved.
+
+    Attributes:
+        starts: The camera in each body's frame (N, 3) [m].
+        rotations: Of the bodies (N, 3, 3).
+        bounds: Where each appears (N, 4): the least and the greatest y / z in the camera's frame,
+            then the same of x / z.
+        near: Which come too near to the camera's plane to tell (N,).
+    """
+
+    def __init__(self, camera: Camera, bodies: Sequence[Body]) -> None:
+        """Take a camera's pose; no body has been placed yet."""
+        self._origin: Floats = camera.pose[:3, 3]
+        self._axes = camera.pose[:3, :3]
+        self._corners = corners_of(tuple(bodies))
+        count = len(self._corners)
+        self._poses = np.full((count, 7), np.nan)
+        self._turned = np.zeros((count, 3, 3))
+        # Corner by corner: of so few numbers, the least along the first axis is found soonest.
+        self._arms = np.zeros((8, count, 3))
+        self.starts: NDArray[np.float32] = np.zeros((count, 3), np.float32)
+        self.rotations: NDArray[np.float32] = np.zeros((count, 3, 3), np.float32)
+        self.bounds = np.zeros((count, 4))
+        self.near = np.zeros(count, np.bool_)
+
+    def place(self, poses: Floats) -> None:
+        """Place the first bodies at poses (n, 7)."""
+        changed = poses != self._poses[: len(poses)]
+        if not changed.any():
+            return
+        # All from the first that moved: rows that lie together are quicker than some of them.
+        rows = slice(int(changed.any(axis=1).argmax()), len(poses))
+        self._poses[rows] = poses = poses[rows]
+        if changed[:, 3:].any():
+            self._turn(rows, poses[:, 3:])
+        offsets = self._origin - poses[:, :3]
+        self.starts[rows] = (offsets[:, None] @ self._turned[rows])[:, 0]
+        local = self._arms[:, rows] - offsets @ self._axes
+        z = local[..., 2:]
+        slopes = local[..., 1::-1] / np.maximum(z, _NEAREST)
+        self.bounds[rows, ::2] = slopes.min(axis=0)
+        self.bounds[rows, 1::2] = slopes.max(axis=0)
+        self.near[rows] = z.min(axis=0)[:, 0] < _NEAREST
+
+    def _turn(self, rows: slice, quaternions: Floats) -> None:
+        """Turn bodies: their corners then point elsewhere along the camera's axes."""
+        rotations = rotation_from_quaternion(quaternions)
+        self._turned[rows] = self.rotations[rows] = rotations
+        arms = self._corners[rows] @ (rotations.transpose(0, 2, 1) @ self._axes)
+        self._arms[:, rows] = arms.swapaxes(0, 1)
+
+
+@lru_cache(maxsize=64)
+def corners_of(bodies: tuple[Body, ...]) -> Floats:
+    """Return the corners (N, 8, 3) of all bodies' boxes, each in its own frame [m]."""
+    return np.array([body.corners for body in bodies]).reshape(-1, 8, 3)
+
+
+def overlaps(blocks: NDArray[np.intp], block: PixelBlock) -> list[PixelBlock]:
+    """Return the parts of some blocks (n, 4) that lie in another, counted from its corner."""
+    top, bottom, left, right = block
+    corner, size = [top, top, left, left], [bottom - top, bottom - top, right - left, right - left]
+    return _clipped(blocks - corner, np.array(size))
+
+
+def _clipped(blocks: NDArray[np.intp], size: NDArray[np.intp]) -> list[PixelBlock]:
+    # `np.clip` takes four times as long for so few numbers.
+    clipped: list[PixelBlock] = np.minimum(np.maximum(blocks, 0), size).tolist()
+    return clipped
+
+
+class View:
+    """Rays of a camera through the centres of its pixels."""
+
+    def __init__(self, camera: Camera) -> None:
+        """Take a camera's pose and intrinsics."""
+        self.camera = camera
+        self.height, self.width = camera.height, camera.width
+        self._size = np.array([camera.height, camera.height, camera.width, camera.width])
+        self._focal = np.array([camera.fy, -camera.fy, camera.fx, -camera.fx])
+        self._principal = np.array([camera.cy, -camera.cy, camera.cx, -camera.cx])
+
+    @cached_property
+    def all_rays(self) -> NDArray[np.float32]:
+        """Directions (H, W, 3) of the frame's rays, as long as 1 m of depth; only to be read."""
+        return self._directions([0, self.height, 0, self.width])
+
+    def rays(self, block: PixelBlock) -> NDArray[np.float32]:
+        """Return the directions (h, w, 3) of a block's rays; only to be read."""
+        top, bottom, left, right = block
+        if top >= 0 and bottom <= self.height and left >= 0 and right <= self.width:
+            return self.all_rays[top:bottom, left:right]
+        return self._directions(block)
+
+    def blocks(self, projection: Projection, bodies: slice) -> NDArray[np.intp]:
+        """Return where some bodies may appear (n, 4), beyond the frame too."""
+        ends = np.floor(projection.bounds[bodies] * self._focal + self._principal)
+        blocks: NDArray[np.intp] = (ends * _ENDS + _BEYOND).astype(np.intp)
+        near = projection.near[bodies]
+        if near.any():
+            blocks[near] = [0, self.height, 0, self.width]
+        return blocks
+
+    def visible_blocks(self, projection: Projection, bodies: slice) -> list[PixelBlock]:
+        """Return where in the frame some bodies may appear."""
+        return _clipped(self.blocks(projection, bodies), self._size)
+
+    def _directions(self, block: PixelBlock) -> NDArray[np.float32]:
+        camera = self.camera
+        top, bottom, left, right = block
+        u = (np.arange(left, right) - camera.cx) / camera.fx
+        v = (np.arange(top, bottom) - camera.cy) / camera.fy
+        across, down, forward = camera.pose[:3, :3].T
+        rays = v[:, None, None] * down + (u[:, None] * across + forward)
+        single: NDArray[np.float32] = rays.astype(np.float32)
+        return single
 
 
 def occlusion(

@@ -22,10 +22,8 @@ from mechsearch.heaps.heap import Heap
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome
-from mechsearch.sim.perturb import Perturbation, perturbed
-from mechsearch.sim.settle import AWAKE, settle
-from mechsearch.sim.world import World
+from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome, Perturbation, perturbed
+from mechsearch.sim.world import AWAKE, World, settle
 from mechsearch.types import Floats
 
 

@@ -4,6 +4,7 @@ The gripper's frame has its origin at the grasp centre, x along the closing dire
 the approach, so a gripper that points straight down has its z axis up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -104,19 +105,19 @@ def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, touches: int, table: int)
     """
     palm = spec.worldbody.add_body()
     palm.name = "gripper"
-    _set_inertia(palm, gripper.mass)
-    _add_slide(palm, "approach", (0.0, 0.0, 1.0), (-1.0, 5.0))
+    set_inertia(palm, gripper.mass)
+    add_slide(palm, "approach", (0.0, 0.0, 1.0), (-1.0, 5.0))
     stiffness = 5000.0
-    _add_servo(spec, "approach", stiffness, gripper.mass, (-gripper.press, gripper.pull))
+    add_servo(spec, "approach", stiffness, gripper.mass, (-gripper.press, gripper.pull))
     _add_box(palm, "palm", gripper.palm_box, gripper.palm_place, gripper, touches | table, touches)
     for i, side in enumerate((1.0, -1.0)):
         finger = palm.add_body()
         finger.name = f"finger{i}"
         finger.pos = gripper.finger_place * [side, 1.0, 1.0]
-        _set_inertia(finger, gripper.finger_mass)
-        _add_slide(finger, f"finger{i}", (-side, 0.0, 0.0), (0.0, gripper.opening / 2))
+        set_inertia(finger, gripper.finger_mass)
+        add_slide(finger, f"finger{i}", (-side, 0.0, 0.0), (0.0, gripper.opening / 2))
         limits = (-gripper.squeeze, gripper.squeeze)
-        _add_servo(spec, f"finger{i}", 2000.0, gripper.finger_mass, limits)
+        add_servo(spec, f"finger{i}", 2000.0, gripper.finger_mass, limits)
         bits = touches | table, touches
         _add_box(finger, f"finger{i}", gripper.finger_box, np.zeros(3), gripper, *bits)
     exclusion = spec.add_exclude()
@@ -134,30 +135,45 @@ def _couple(spec: mujoco.MjSpec) -> None:
     coupling.solref, coupling.solimp = _FIRM_TIME, _FIRM
 
 
-def _set_inertia(body: mujoco.MjsBody, mass: float) -> None:
+def set_inertia(body: mujoco.MjsBody, mass: float) -> None:
+    """Give a part of a robot a mass [kg] without weight: its drive carries it."""
     body.gravcomp = 1.0
     body.mass = mass
     body.inertia = [1e-3, 1e-3, 1e-3]
     body.explicitinertial = True
 
 
-def _add_slide(
-    body: mujoco.MjsBody, name: str, axis: tuple[float, ...], limits: tuple[float, float]
+def add_slide(
+    body: mujoco.MjsBody,
+    name: str,
+    axis: Sequence[float] | Floats,
+    limits: tuple[float, float] | None = None,
 ) -> None:
+    """Add a joint that slides along an axis, perhaps between limits [m]."""
     joint = body.add_joint()
     joint.name = name
     joint.type = mujoco.mjtJoint.mjJNT_SLIDE
     joint.axis = axis
-    joint.limited = True
-    joint.range = limits
-    joint.solref_limit, joint.solimp_limit = _FIRM_TIME, _FIRM
+    if limits is not None:
+        joint.limited = True
+        joint.range = limits
+        joint.solref_limit, joint.solimp_limit = _FIRM_TIME, _FIRM
 
 
-def _add_servo(
-    spec: mujoco.MjSpec, name: str, stiffness: float, mass: float, limits: tuple[float, float]
-) -> None:
+def add_servo(
+    spec: mujoco.MjSpec, joint: str, stiffness: float, mass: float, limits: tuple[float, float]
+) -> mujoco.MjsActuator:
+    """Add and return a critically damped position servo of a joint.
+
+    Args:
+        spec: The scene.
+        joint: Its name.
+        stiffness: [N/m].
+        mass: What it moves [kg].
+        limits: Of its force [N].
+    """
     actuator = spec.add_actuator()
-    actuator.name = actuator.target = name
+    actuator.name = actuator.target = joint
     actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
     actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -166,6 +182,7 @@ def _add_servo(
     actuator.biasprm[2] = -2.0 * float(np.sqrt(stiffness * mass))
     actuator.forcelimited = True
     actuator.forcerange = limits
+    return actuator
 
 
 def _add_box(

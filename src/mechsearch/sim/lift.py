@@ -11,10 +11,15 @@ from enum import StrEnum
 import mujoco
 import numpy as np
 
-from mechsearch.geometry import apply, rotation_from_quaternion, transform_from_pose
+from mechsearch.geometry import (
+    apply,
+    quaternion_product,
+    rotation_from_quaternion,
+    transform_from_pose,
+)
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.scene import PhysicsConfig, compile_scene
+from mechsearch.sim.scene import PhysicsConfig, compile_scene, reset_data, warned
 from mechsearch.sim.travel import Outlines
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats, MechSearchError
@@ -142,7 +147,7 @@ class LiftWorld:
 
     def _reset(self, poses: Floats, grasp: Floats, friction: float | None) -> None:
         model, data = self._model, self._data
-        mujoco.mj_resetData(model, data)
+        reset_data(model, data)
         body = self._bodies[0]
         model.body_pos[body], model.body_quat[body] = grasp[:3], grasp[3:]
         model.geom_friction[self._geoms, 0] = (
@@ -188,6 +193,36 @@ def above_table(grasp: Floats, gripper: Gripper) -> Floats:
     if lowest < gripper.clearance:
         raised[:3] += rotation[:, 2] * (gripper.clearance - lowest) / max(rotation[2, 2], 0.1)
     return raised
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """Spreads of what is uncertain; the values are Dex-Net's where it states them.
+
+    Attributes:
+        translation: Standard deviation along each axis [m].
+        rotation: Standard deviation about each axis of the gripper [rad].
+        friction: Mean sliding coefficient.
+        friction_spread: Its standard deviation; draws are kept in [0.05, 1].
+    """
+
+    translation: float = 0.005
+    rotation: float = float(np.deg2rad(3.0))
+    friction: float = 0.5
+    friction_spread: float = 0.1
+
+
+def perturbed(grasp: Array, rng: np.random.Generator, spread: Perturbation) -> tuple[Floats, float]:
+    """Return a grasp (7,) near the planned one, and the friction of its fingers."""
+    pose = np.array(grasp, np.float64)
+    pose[:3] += rotation_from_quaternion(pose[3:]) @ rng.normal(0.0, spread.translation, 3)
+    half = rng.normal(0.0, spread.rotation, 3) / 2
+    turn = np.array([1.0, *half])
+    pose[3:] = quaternion_product(pose[3:], turn / np.linalg.norm(turn))
+    friction = -1.0
+    while not 0.05 <= friction <= 1.0:
+        friction = float(rng.normal(spread.friction, spread.friction_spread))
+    return pose, friction
 
 
 class _Attempt:
@@ -297,7 +332,7 @@ class _Attempt:
         """Return whether the physics went wrong."""
         data = self.data
         finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        return not finite or bool(data.warning.number[: int(mujoco.mjtWarning.mjNWARNING)].any())
+        return not finite or warned(data)
 
     def _gripper_poses(self) -> Floats:
         """Return the poses (3, 7) of the rendered palm and fingers."""

@@ -31,11 +31,6 @@ class Pusher:
     force: float = 25.0
     friction: float = 0.5
 
-    @property
-    def damping(self) -> float:
-        """Critical damping [N s/m]."""
-        return 2.0 * float(np.sqrt(self.stiffness * self.mass))
-
     def pose(self, position: Floats) -> Floats:
         """Return the pose (7,) of the visual model for a tip at `position` (3,)."""
         return np.concatenate([position, _UPRIGHT])

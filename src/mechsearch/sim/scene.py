@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import Gripper, add_gripper
+from mechsearch.sim.gripper import Gripper, add_gripper, add_servo, add_slide, set_inertia
 from mechsearch.sim.pusher import Pusher
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Floats
@@ -23,9 +23,6 @@ union of its parts would, at a fraction of the contacts."""
 SLIDING_AND_SPINNING = 4
 ROLLING_TOO = 6
 """Friction directions of a contact. Rolling friction acts on the table alone, where balls roll."""
-
-# What the engine would print and log is counted in its data, and named by `World.failure`.
-mujoco.set_mju_user_warning(lambda message: None)
 
 
 @dataclass(frozen=True)
@@ -122,6 +119,20 @@ def compile_scene(
     return spec.compile()
 
 
+def reset_data(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Put a scene back to its start, so that the engine counts warnings without a word.
+
+    It prints and logs a warning of a kind that it has not yet counted in this data.
+    """
+    mujoco.mj_resetData(model, data)
+    data.warning.number[:] = 1
+
+
+def warned(data: mujoco.MjData) -> bool:
+    """Return whether the engine has warned since `reset_data`."""
+    return bool((data.warning.number > 1).any())
+
+
 def _add_table(spec: mujoco.MjSpec, workspace: Workspace) -> None:
     """Add the table's top, without an edge: what crosses the edge has left the scene."""
     geom = spec.worldbody.add_geom()
@@ -156,12 +167,7 @@ def _add_object(spec: mujoco.MjSpec, index: int, model: ObjectModel) -> None:
 
 
 def _add_hull(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    name: str,
-    points: Floats,
-    friction: float,
-    bits: int,
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: Floats, friction: float, bits: int
 ) -> None:
     mesh = spec.add_mesh()
     mesh.name = name
@@ -178,28 +184,13 @@ def _add_hull(
 def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
     body = spec.worldbody.add_body()
     body.name = "pusher"
-    body.gravcomp = 1.0
-    body.mass = pusher.mass
-    body.inertia = [1e-3, 1e-3, 1e-3]
-    body.explicitinertial = True
-    for axis in range(3):
-        joint = body.add_joint()
-        joint.name = f"pusher{'xyz'[axis]}"
-        joint.type = mujoco.mjtJoint.mjJNT_SLIDE
-        joint.axis = np.eye(3)[axis]
-        actuator = spec.add_actuator()
-        actuator.name = joint.name
-        actuator.target = joint.name
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    set_inertia(body, pusher.mass)
+    for name, axis in zip(("pusherx", "pushery", "pusherz"), np.eye(3), strict=True):
+        add_slide(body, name, axis)
+        limits = (-pusher.force, pusher.force)
+        servo = add_servo(spec, name, pusher.stiffness, pusher.mass, limits)
         # An integrated-velocity servo: its set point moves at the commanded velocity.
-        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0] = pusher.stiffness
-        actuator.biasprm[1] = -pusher.stiffness
-        actuator.biasprm[2] = -pusher.damping
-        actuator.forcelimited = True
-        actuator.forcerange = [-pusher.force, pusher.force]
+        servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
     geom = body.add_geom()
     geom.name = "pusher"
     geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE

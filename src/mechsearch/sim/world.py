@@ -1,4 +1,4 @@
-"""The physics engine's state, and what moves it."""
+"""The physics engine's state, what moves it, and whether it lies still."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -9,7 +9,7 @@ import numpy as np
 
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.scene import PhysicsConfig, Wall, compile_scene
+from mechsearch.sim.scene import PhysicsConfig, Wall, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
 from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats
@@ -22,6 +22,15 @@ _SUNK = -0.01
 
 _REST_CHECK = 4
 """Steps between two looks whether an action is over early."""
+
+REST_LIMIT = 0.001
+"""At rest, no object moves farther than this [m] in one more simulated second."""
+
+_LOOK = 0.25
+"""Time between two looks at a settling heap [s]."""
+
+AWAKE = PhysicsConfig(sleep_speed=0.0)
+"""Physics in which nothing sleeps: rest is measured, not assumed."""
 
 
 class World:
@@ -51,6 +60,7 @@ class World:
         self._outlines = Outlines([model.parts for model in models])
         self._model = compile_scene(models, self.workspace, pusher, walls, self.config)
         self._data = mujoco.MjData(self._model)
+        reset_data(self._model, self._data)
         self._size = mujoco.mj_stateSize(self._model, _STATE)
         self._pusher_geom = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "pusher")
         self._tip = self._data.qpos[7 * self.count :]
@@ -80,7 +90,7 @@ class World:
 
     def reset(self, poses: Array, pusher_position: Array | None = None) -> None:
         """Put all objects at rest at `poses` (N, 7), and the pusher where it is told."""
-        mujoco.mj_resetData(self._model, self._data)
+        reset_data(self._model, self._data)
         self._data.qpos[: 7 * self.count] = np.asarray(poses, np.float64).ravel()
         if self._pusher is not None:
             self.place_pusher(_AWAY if pusher_position is None else pusher_position)
@@ -206,7 +216,7 @@ class World:
         highest = np.abs(self._qvel).max(initial=0.0)
         if not (isfinite(np.abs(self._qpos).max(initial=0.0)) and isfinite(highest)):
             return "not a number"
-        if self._warnings.any():
+        if (self._warnings > 1).any():
             return "solver warning"
         # No axis is faster than the whole: most of the time there is nothing to look at.
         if poses[:, 2].min(initial=0.0) < _SUNK or 2.0 * highest > config.explosion_speed:
@@ -228,24 +238,40 @@ class World:
     def restore(self, state: Array) -> None:
         """Return to a snapshot of this world."""
         mujoco.mj_setState(self._model, self._data, np.asarray(state, np.float64), _STATE)
-        for warning in range(int(mujoco.mjtWarning.mjNWARNING)):
-            self._data.warning.number[warning] = 0
+        self._warnings[:] = 1
 
-    def cast(self, origin: Array, directions: Array) -> tuple[Floats, Array]:
-        """Cast rays (K, 3) from one origin with the engine: distances, and object indices (-1).
 
-        The engine is slow at this; it is here to check the renderer.
-        """
-        mujoco.mj_forward(self._model, self._data)
-        unit = np.asarray(directions, np.float64)
-        lengths = np.linalg.norm(unit, axis=1)
-        geoms = np.full(len(unit), -1, np.int32)
-        distances = np.full(len(unit), -1.0)
-        mujoco.mj_multiRay(
-            self._model, self._data, np.asarray(origin, np.float64),
-            np.ascontiguousarray(unit / lengths[:, None]).ravel(), None, True, -1, geoms,
-            distances, None, len(unit), 100.0,
-        )  # fmt: skip
-        bodies = np.where(geoms >= 0, self._model.geom_bodyid[geoms], 0)
-        objects = np.where((bodies >= 1) & (bodies <= self.count), bodies - 1, -1)
-        return distances / lengths, objects
+def settle(world: World, seconds: float = 4.0, limit: float = REST_LIMIT) -> bool:
+    """Step until no object's centre moves faster than `limit` [m/s], or give up.
+
+    What counts is the way from one look to the next: contacts may tremble in place.
+
+    Returns:
+        Whether all objects came to rest on the table; it ends when the first has left that.
+    """
+    chunk = max(1, round(_LOOK / world.config.time_step))
+    before = world.poses
+    for _ in range(round(seconds / _LOOK)):
+        world.step(chunk)
+        poses = world.poses
+        if world.workspace.off_table(poses).any():
+            return False
+        way = np.linalg.norm(poses[:, :3] - before[:, :3], axis=1)
+        if float(way.max(initial=0.0)) < limit * _LOOK:
+            return True
+        before = poses
+    return False
+
+
+def drift(models: Sequence[ObjectModel], poses: Array) -> float:
+    """Return how far the most restless object moves [m] in one second, started at `poses`.
+
+    A fresh world without sleep is used; a failed simulation drifts infinitely far.
+    """
+    world = World(models, config=AWAKE)
+    world.reset(poses)
+    world.step(round(1.0 / world.config.time_step))
+    if world.failure() is not None:
+        return float("inf")
+    moved = world.poses[:, :3] - np.asarray(poses)[:, :3]
+    return float(np.linalg.norm(moved, axis=1).max(initial=0.0))

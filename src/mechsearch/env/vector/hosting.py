@@ -95,13 +95,17 @@ class Host:
 
     def __call__(self, request: Begin | Act | Look) -> Any:
         """Do what is asked; an environment that raises is thrown away."""
-        if isinstance(request, Look):
-            return self._look(request)
         try:
-            return self._begin(request) if isinstance(request, Begin) else self._act(request)
+            if isinstance(request, Begin):
+                return self._begin(request)
+            if request.again is not None:
+                self._begin(request.again)
+            if isinstance(request, Act):
+                return self._act(request)
         except Exception:
             self._envs.pop(request.env, None)
             raise
+        return self._look(request)
 
     def _begin(self, request: Begin) -> Begun:
         env = self._envs.get(request.env)
@@ -117,15 +121,11 @@ class Host:
         return Begun(info, env.np_random)
 
     def _act(self, request: Act) -> Acted:
-        if request.again is not None:
-            self._begin(request.again)
         obs, reward, terminated, truncated, info = self._envs[request.env].step(request.action)
         self._show(request.env, obs)
         return Acted(reward, terminated, truncated, info)
 
     def _look(self, request: Look) -> Any:
-        if request.again is not None:
-            self._begin(request.again)
         found = getattr(self._envs.get(request.env, self._first), request.name)
         return found(*request.args, **(request.kwargs or {})) if callable(found) else found
 

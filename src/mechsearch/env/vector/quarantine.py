@@ -37,28 +37,24 @@ class Quarantine:
         self.names[self._heaps[heap].seed] = reason
         return self._heaps[heap].seed
 
-    def draw(self, rng: np.random.Generator) -> int:
-        """Return the index of a heap, drawn as `HeapEnv.reset` draws it.
+    def draw(self, rng: np.random.Generator, heap: int | None = None) -> int:
+        """Return the index of the heap that was asked for, or of one drawn as `HeapEnv.reset` does.
 
         Raises:
-            MechSearchError: If all are quarantined.
+            MechSearchError: If it does not exist or is quarantined, or all are.
         """
+        if heap is not None:
+            return self._checked(heap)
         if len(self.names) == len(self._heaps):
             name, reason = list(self.names.items())[-1]
             raise MechSearchError(
                 f"all {len(self._heaps)} heaps are quarantined; the last, {name}: {reason}"
             )
-        while True:
-            heap = int(rng.integers(len(self._heaps)))
-            if heap not in self:
-                return heap
+        while (drawn := int(rng.integers(len(self._heaps)))) in self:
+            pass
+        return drawn
 
-    def chosen(self, heap: int) -> int:
-        """Return the index of a heap that was asked for.
-
-        Raises:
-            MechSearchError: If it does not exist, or is quarantined.
-        """
+    def _checked(self, heap: int) -> int:
         if not 0 <= heap < len(self._heaps):
             raise MechSearchError(f"heap {heap} does not exist; choose 0 to {len(self._heaps) - 1}")
         if heap in self:

@@ -17,7 +17,7 @@ MOST_FAILED_STARTS = 10
 
 
 @dataclass
-class Outcome:
+class StepResult:
     """What an environment has to tell when its turn comes."""
 
     reward: float = 0.0
@@ -26,7 +26,7 @@ class Outcome:
     info: dict[str, Any] = field(default_factory=dict)
 
 
-class Lane:
+class SubEnv:
     """Makes an environment's requests, and takes the replies.
 
     All its randomness is here, so that its episodes depend neither on its worker nor on others.
@@ -35,7 +35,7 @@ class Lane:
         kept: Its last trusted observation.
         rng: Its generator; None before the first reset.
         over: Whether it must be reset before the next action.
-        outcome: What the last action or reset led to.
+        result: What the last action or reset led to.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Lane:
         self.kept = kept
         self.rng: np.random.Generator | None = None
         self.over = True
-        self.outcome = Outcome()
+        self.result = StepResult()
         self._env, self._shared, self._quarantine = env, shared, quarantine
         self._same_step, self._no_reward = same_step, no_reward
         self._heap, self._occlusion = 0, 1.0
@@ -75,7 +75,7 @@ class Lane:
         """
         if seed is not None or self.rng is None:
             self.rng, _ = seeding.np_random(seed)
-        self.outcome = Outcome()
+        self.result = StepResult()
         return self._begin(options)
 
     def act(self, action: Array) -> Act:
@@ -95,24 +95,24 @@ class Lane:
         else:
             self._keep()
         assert isinstance(value, Acted)
-        self.outcome = Outcome(*value)
+        self.result = StepResult(*value)
         self.over = value.terminated or value.truncated
         self._occlusion = value.info["occlusion"]
         return self._begin_next() if self.over and self._same_step else None
 
     def _begin(self, options: Mapping[str, Any]) -> Begin:
         assert self.rng is not None
-        heap, self.over, self._failed_starts = options.get("heap"), True, 0
-        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        self.over, self._failed_starts = True, 0
+        heap = self._quarantine.draw(self.rng, options.get("heap"))
         self._beginning = Begin(self._env, heap, self.rng, options)
         return self._beginning
 
     def _begin_next(self) -> Begin:
         """Begin the next episode in the same step; what the last one ended with stays in `info`."""
-        info = self.outcome.info
+        info = self.result.info
         final: dict[str, Any] = {key: row.copy() for key, row in self.kept.items()}
         failed = {k: info[k] for k in ("failure", "quarantined") if info.get(k) is not None}
-        self.outcome.info = {"final_obs": final, "final_info": info, **failed}
+        self.result.info = {"final_obs": final, "final_info": info, **failed}
         return self._begin({})
 
     def _take_begun(self, begin: Begin, value: Begun | Acted | Failure) -> Begin | None:
@@ -123,7 +123,7 @@ class Lane:
         self._beginning, self.over = None, False
         self.rng, self._heap = value.rng, begin.heap
         self._occlusion = value.info["occlusion"]
-        self.outcome.info |= value.info
+        self.result.info |= value.info
         return None
 
     def _begin_again(self, begin: Begin, failure: Failure) -> Begin:
@@ -133,15 +133,14 @@ class Lane:
         if name is None:
             return begin
         self._beginning = None
-        self.outcome.info["quarantined"] = name
+        self.result.info["quarantined"] = name
         if self._failed_starts >= MOST_FAILED_STARTS:
             raise MechSearchError(
                 f"no episode begins, tried {self._failed_starts} times; the last time on heap "
                 f"{name}: {failure.reason}"
             )
-        heap = begin.options.get("heap")
         assert self.rng is not None
-        heap = self._quarantine.draw(self.rng) if heap is None else self._quarantine.chosen(heap)
+        heap = self._quarantine.draw(self.rng, begin.options.get("heap"))
         self._beginning = replace(begin, heap=heap, rng=self.rng)
         return self._beginning
 

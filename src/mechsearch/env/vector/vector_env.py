@@ -12,14 +12,11 @@ from gymnasium.vector.utils import batch_space
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.vector.hosting import Hosts, Look
 from mechsearch.env.vector.quarantine import Quarantine
-from mechsearch.env.vector.sub_env import Lane
-from mechsearch.processes import (
-    PROCESSORS,
-    Failure,
-)
+from mechsearch.env.vector.sub_env import SubEnv
+from mechsearch.processes import PROCESSORS, Failure
 from mechsearch.types import Array, MechSearchError
 
-MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
+AUTORESET_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
 Batch = tuple[dict[str, Array], Array, Array, Array, dict[str, Any]]
 
@@ -85,9 +82,9 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         shared = self._hosts.observations
         self._kept = {key: np.zeros_like(rows) for key, rows in shared.items()}
         self._quarantine = Quarantine(env.heaps)
-        same_step, nothing = mode is MODES[0], env.no_reward
-        self._lanes = [
-            Lane(i, _row(shared, i), _row(self._kept, i), self._quarantine, same_step, nothing)
+        same_step, nothing = mode is AutoresetMode.SAME_STEP, env.no_reward
+        self._sub_envs = [
+            SubEnv(i, _row(shared, i), _row(self._kept, i), self._quarantine, same_step, nothing)
             for i in range(num_envs)
         ]
         self._turn: deque[int] = deque()
@@ -123,10 +120,10 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         mask = _mask(passed.pop("reset_mask", None), self.num_envs)
         seeds = _seeds(seed, self.num_envs)
         envs = [int(i) for i in np.flatnonzero(mask)]
-        for request in [self._lanes[i].reset(seeds[i], passed) for i in envs]:
+        for request in [self._sub_envs[i].reset(seeds[i], passed) for i in envs]:
             self._hosts.ask(request)
         _raise_first(self._await(envs))
-        infos = [(i, self._lanes[i].outcome.info) for i in envs]
+        infos = [(i, self._sub_envs[i].result.info) for i in envs]
         return self._seen(slice(None)), _batched(infos, self.num_envs)
 
     def step(self, actions: Array) -> Batch:
@@ -165,7 +162,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         if set(envs) & set(self._turn) or len(set(envs)) < len(envs):
             raise AlreadyPendingCallError(f"of {envs}, some are sent and not received", "step")
         actions = _checked(actions, len(envs))
-        over = [i for i in envs if self._lanes[i].over]
+        over = [i for i in envs if self._sub_envs[i].over]
         if over:
             raise MechSearchError(
                 f"the episodes of {over} are over; begin others with "
@@ -173,7 +170,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             )
         for i, action in zip(envs, actions, strict=True):
             self._turn.append(i)
-            self._hosts.ask(self._lanes[i].act(action))
+            self._hosts.ask(self._sub_envs[i].act(action))
 
     def receive(self, count: int) -> tuple[Array, Batch]:
         """Return what the actions sent longest ago led to.
@@ -193,13 +190,13 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         for _ in envs:
             self._turn.popleft()
         _raise_first(errors)
-        outcomes = [self._lanes[i].outcome for i in envs]
+        results = [self._sub_envs[i].result for i in envs]
         return np.array(envs), (
             self._seen(envs),
-            np.array([outcome.reward for outcome in outcomes]),
-            np.array([outcome.terminated for outcome in outcomes]),
-            np.array([outcome.truncated for outcome in outcomes]),
-            _batched([(k, outcome.info) for k, outcome in enumerate(outcomes)], count),
+            np.array([result.reward for result in results]),
+            np.array([result.terminated for result in results]),
+            np.array([result.truncated for result in results]),
+            _batched([(k, result.info) for k, result in enumerate(results)], count),
         )
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
@@ -246,7 +243,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         while not self._complete.issuperset(envs):
             for i, value in self._hosts.replies():
                 try:
-                    request = self._lanes[i].take(value)
+                    request = self._sub_envs[i].take(value)
                 except MechSearchError as error:
                     errors.append(error)
                     request = None
@@ -278,7 +275,7 @@ def _raise_first(errors: Sequence[MechSearchError]) -> None:
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
-    values = [choice.value for choice in MODES]
+    values = [choice.value for choice in AUTORESET_MODES]
     value = mode.value if isinstance(mode, AutoresetMode) else mode
     if value not in values:
         raise MechSearchError(

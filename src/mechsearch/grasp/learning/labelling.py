@@ -22,8 +22,7 @@ from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
 from mechsearch.heaps.heap import Heap
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftWorld
-from mechsearch.sim.perturb import Perturbation, perturbed
+from mechsearch.sim.lift import LiftWorld, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import Array, MechSearchError
 

@@ -1,10 +1,11 @@
 """Household things that hold others: cans, cartons, bottles, bowls, mugs and cups."""
 
-from collections.abc import Sequence
+from functools import partial
 
 from mechsearch.objects.household.paint import band, layers, panel, plain, spot, window
 from mechsearch.objects.household.primitives import (
-    Solid,
+    Item,
+    Solids,
     box,
     cylinder,
     fitted,
@@ -13,8 +14,6 @@ from mechsearch.objects.household.primitives import (
     shell,
     tube,
 )
-
-Solids = Sequence[Solid]
 
 TIN = "b9bcc0"
 WHITE = "f4f1ea"
@@ -70,9 +69,7 @@ def mustard_bottle() -> Solids:
     """Return a squeeze bottle with an oval body and a pointed spout."""
     oval = 0.050 / 0.085
     label = layers(
-        "f0b41c",
-        (window(-90, 120, 0.030, 0.090), "8c1d18"),
-        (window(-90, 76, 0.052, 0.070), WHITE),
+        "f0b41c", (window(-90, 120, 0.030, 0.090), "8c1d18"), (window(-90, 76, 0.052, 0.070), WHITE)
     )
     body = frustum(0.078, 0.085, 0.105, bands=12).painted(label)
     shoulder = frustum(0.085, 0.036, 0.030).painted(plain("f0b41c"))
@@ -88,9 +85,7 @@ def bleach_bottle() -> Solids:
     """Return a bottle with an oval body, a neck to one side and a grip with an opening."""
     white = plain(WHITE)
     label = layers(
-        WHITE,
-        (window(-90, 130, 0.025, 0.120), "1c5fa8"),
-        (window(-90, 90, 0.060, 0.095), "f0c419"),
+        WHITE, (window(-90, 130, 0.025, 0.120), "1c5fa8"), (window(-90, 90, 0.060, 0.095), "f0c419")
     )
     grip = tube(
         [(0.030, 0.128), (0.040, 0.165), (0.028, 0.196), (-0.006, 0.208)],
@@ -166,3 +161,41 @@ def pitcher_lid() -> Solids:
         cylinder(0.123, 0.006, bands=1).painted(plain("245a94")).moved(z=0.024),
         box(0.090, 0.020, 0.020, 1).painted(blue).moved(z=0.038),
     )
+
+
+CONTAINERS = (
+    Item("coffee_can", "can", 414, partial(can, 0.102, 0.139, "1d3f72", "c8952b", "f4f1ea")),
+    Item("soup_can", "can", 349, partial(can, 0.066, 0.101, "c4161c", "f4f1ea", "c9a227")),
+    Item("tuna_can", "can", 171, partial(can, 0.085, 0.033, "1f6f8b", "f4f1ea", "e4572e")),
+    Item("chips_can", "can", 205, partial(can, 0.075, 0.250, "b8202a", "e9b824", "2b2d31")),
+    Item("meat_can", "can", 370, partial(loaf_can, 0.097, 0.050, 0.082)),
+    Item(
+        "cracker_box",
+        "box",
+        411,
+        partial(carton, 0.060, 0.158, 0.210, "c1272d", "f2b632", "8c4a1f"),
+    ),
+    Item(
+        "sugar_box", "box", 514, partial(carton, 0.038, 0.089, 0.175, "f2d33b", "f4f1ea", "1c5fa8")
+    ),
+    Item(
+        "pudding_box",
+        "box",
+        187,
+        partial(carton, 0.110, 0.035, 0.089, "5a3320", "e8c9a0", "c1272d"),
+    ),
+    Item(
+        "gelatin_box", "box", 97, partial(carton, 0.085, 0.028, 0.073, "c2185b", "f4f1ea", "e53935")
+    ),
+    Item("mustard_bottle", "bottle", 603, mustard_bottle),
+    Item("bleach_bottle", "bottle", 1131, bleach_bottle),
+    Item("bowl", "bowl", 147, bowl),
+    Item("mug", "mug", 118, mug),
+    Item("wine_glass", "cup", 133, wine_glass),
+    Item("cup_a", "cup", 13, partial(cup, 0.055, 0.060, "c0392b")),
+    Item("cup_c", "cup", 17, partial(cup, 0.065, 0.064, "2e86c1")),
+    Item("cup_e", "cup", 21, partial(cup, 0.075, 0.068, "239b56")),
+    Item("cup_g", "cup", 28, partial(cup, 0.085, 0.072, "d68910")),
+    Item("cup_i", "cup", 35, partial(cup, 0.095, 0.076, "8e44ad")),
+    Item("pitcher_lid", "lid", 66, pitcher_lid),
+)

@@ -1,11 +1,10 @@
 """Fruit."""
 
-from collections.abc import Sequence
-
 from mechsearch.objects.household.paint import band, blend, dots, layers, plain
 from mechsearch.objects.household.primitives import (
+    Item,
     Paint,
-    Solid,
+    Solids,
     cylinder,
     ellipsoid,
     fitted,
@@ -13,8 +12,6 @@ from mechsearch.objects.household.primitives import (
     stack,
     tube,
 )
-
-Solids = Sequence[Solid]
 
 STALK = "5b3d1e"
 
@@ -92,3 +89,15 @@ def banana() -> Solids:
     skin = layers("efcf2f", (band("x", -1, -0.088), STALK), (band("x", 0.082, 1), "3a2a16"))
     pieces = [piece.painted(skin) for piece in tube(path, widths, widths)]
     return fitted(pieces, 0.190, 0.060, 0.036)
+
+
+FRUIT = (
+    Item("banana", "fruit", 66, banana),
+    Item("strawberry", "fruit", 18, strawberry),
+    Item("apple", "fruit", 68, apple),
+    Item("lemon", "fruit", 29, lemon),
+    Item("peach", "fruit", 33, peach),
+    Item("pear", "fruit", 49, pear),
+    Item("orange", "fruit", 47, orange),
+    Item("plum", "fruit", 25, plum),
+)

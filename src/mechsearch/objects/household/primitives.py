@@ -10,12 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from mechsearch.objects.model import TEXEL_ROWS, texel_weights
 from mechsearch.types import Floats, MechSearchError
 
 Paint = Callable[[Floats, Floats], NDArray[np.uint8]]
 """Colours (N, 3) of surface points (N, 3) [m] with outward normals (N, 3)."""
 
-TEXEL_ROWS = 6
+TEXEL_CENTRE = 0.5
+"""Where in its cell a texel is coloured: at the centre of the square, which for a cell on the
+slanted edge, shared with the triangle beyond it, lies on that edge."""
+
 MOST_CORNERS = 32
 _GREY = 160
 
@@ -38,7 +42,7 @@ class Solid:
 
     def painted(self, paint: Paint) -> "Solid":
         """Return the solid with the colours that `paint` gives its surface where it is now."""
-        weights = texel_weights(TEXEL_ROWS)
+        weights = texel_weights(TEXEL_ROWS, TEXEL_CENTRE)
         corners = self.vertices[self.faces]
         points = np.einsum("tc,fcd->ftd", weights, corners)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -61,22 +65,28 @@ class Solid:
 
     def _mapped(self, matrix: Floats, offset: Floats) -> "Solid":
         return replace(
-            self,
-            hull=self.hull @ matrix.T + offset,
-            vertices=self.vertices @ matrix.T + offset,
+            self, hull=self.hull @ matrix.T + offset, vertices=self.vertices @ matrix.T + offset
         )
 
 
-def texel_weights(rows: int) -> Floats:
-    """Return barycentric weights (T, 3) of the texels' centres, in the order of `ObjectModel`.
+Solids = Sequence[Solid]
 
-    Texel (i, j) is the square cell of the grid where the weight of the second corner begins at
-    i / rows and that of the third at j / rows. A cell on the slanted edge is shared with the
-    triangle beyond it, so its centre lies on that edge.
+
+@dataclass(frozen=True)
+class Item:
+    """One object of the set, before it is put together.
+
+    Attributes:
+        name: Unique.
+        category: Such as "can".
+        grams: Mass [g].
+        shape: Makes its convex solids.
     """
-    cells = [(i, j) for i in range(rows) for j in range(rows - i)]
-    second, third = (np.array(cells).T + 0.5) / rows
-    return np.stack([1 - second - third, second, third], axis=1)
+
+    name: str
+    category: str
+    grams: float
+    shape: Callable[[], Solids]
 
 
 def skin(rings: ArrayLike, hull: ArrayLike | None = None) -> Solid:

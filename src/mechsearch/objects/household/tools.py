@@ -1,10 +1,13 @@
 """Household tools: cutlery, scissors, screwdrivers, a wrench, a drill, a padlock, clamps, pens."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from mechsearch.objects.household.paint import band, layers, panel, plain, window
 from mechsearch.objects.household.primitives import (
+    Item,
     Solid,
+    Solids,
     box,
     cylinder,
     fitted,
@@ -13,8 +16,6 @@ from mechsearch.objects.household.primitives import (
     shell,
     tube,
 )
-
-Solids = Sequence[Solid]
 
 STEEL = "a9adb3"
 DARK = "2b2d31"
@@ -156,7 +157,7 @@ def clamp(length: float, width: float, thick: float) -> Solids:
     return fitted([*upper, *lower, pivot.painted(plain(STEEL))], length, width, thick)
 
 
-def marker(diameter: float, length: float, colour: str) -> Solids:
+def felt_pen(diameter: float, length: float, colour: str) -> Solids:
     """Return a felt pen with its cap on."""
     barrel = layers("e9e9e6", (band("z", 0.30 * length, 0.36 * length), colour))
     return (
@@ -165,3 +166,22 @@ def marker(diameter: float, length: float, colour: str) -> Solids:
         .painted(plain(colour))
         .moved(z=0.68 * length),
     )
+
+
+TOOLS = (
+    Item("fork", "cutlery", 34, fork),
+    Item("spoon", "cutlery", 30, spoon),
+    Item("knife", "cutlery", 31, knife),
+    Item("power_drill", "tool", 895, drill),
+    Item("scissors", "tool", 82, scissors),
+    Item("cross_screwdriver", "tool", 97, partial(screwdriver, "d9a520", flat=False)),
+    Item("flat_screwdriver", "tool", 98.4, partial(screwdriver, "2e6fb7", flat=True)),
+    Item("wrench", "tool", 252, wrench),
+    Item("padlock", "tool", 208, padlock),
+    Item("large_marker", "tool", 15.8, partial(felt_pen, 0.018, 0.121, "1b1b1e")),
+    Item("small_marker", "tool", 8.2, partial(felt_pen, 0.010, 0.135, "b3261e")),
+    Item("small_clamp", "clamp", 19.2, partial(clamp, 0.085, 0.065, 0.010)),
+    Item("medium_clamp", "clamp", 59, partial(clamp, 0.115, 0.090, 0.027)),
+    Item("large_clamp", "clamp", 125, partial(clamp, 0.165, 0.125, 0.032)),
+    Item("extra_large_clamp", "clamp", 202, partial(clamp, 0.213, 0.165, 0.037)),
+)

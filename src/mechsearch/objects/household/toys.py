@@ -1,16 +1,22 @@
 """Balls, blocks and other solid things."""
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.objects.household.containers import WHITE
 from mechsearch.objects.household.paint import band, dots, layers, panel, plain, seam, spot
-from mechsearch.objects.household.primitives import Paint, Solid, box, cylinder, ellipsoid, frustum
+from mechsearch.objects.household.primitives import (
+    Item,
+    Paint,
+    Solids,
+    box,
+    cylinder,
+    ellipsoid,
+    frustum,
+)
 from mechsearch.types import Floats
-
-Solids = Sequence[Solid]
 
 
 def ball(diameter: float, paint: Paint) -> Solids:
@@ -88,3 +94,20 @@ def timer() -> Solids:
         box(0.085, 0.080, 0.028, 1).painted(plain("2f6f73")).moved(z=0.014),
         frustum(0.056, 0.046, 0.012).painted(layers(WHITE, hand, knob)).moved(z=0.028),
     )
+
+
+TOYS = (
+    Item("soccer_ball", "ball", 123, partial(ball, 0.140, dotted("f4f4f0", "1d1f24", 12, 0.93))),
+    Item("softball", "ball", 191, partial(ball, 0.096, stitched("d7e33f", "b3261e", 0.05))),
+    Item("baseball", "ball", 138, partial(ball, 0.075, stitched("f3efe6", "b3261e"))),
+    Item("tennis_ball", "ball", 58, partial(ball, 0.0647, stitched("c6df3a", "f4f4f0", 0.08))),
+    Item("racquetball", "ball", 41, partial(ball, 0.0553, plain("2456b8"))),
+    Item("golf_ball", "ball", 46, partial(ball, 0.0427, dotted("f6f6f3", "d5d6d4", 150, 0.994))),
+    Item("wood_block", "block", 729, partial(block, 0.085, 0.085, 0.200, wood())),
+    Item("foam_brick", "block", 28, partial(block, 0.050, 0.075, 0.050, plain("b5432e"))),
+    Item("cube_puzzle", "block", 94, cube_puzzle),
+    Item("long_brick", "block", 37.2, partial(brick, (4, 2), 0.0192, "2f7d32")),
+    Item("square_brick", "block", 18.6, partial(brick, (2, 2), 0.0384, "f9c80e")),
+    Item("sponge", "block", 6.2, partial(block, 0.072, 0.114, 0.014, sponge())),
+    Item("timer", "appliance", 102, timer),
+)

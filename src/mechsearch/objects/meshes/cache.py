@@ -2,24 +2,83 @@
 
 import hashlib
 import json
-import os
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from platformdirs import user_cache_dir
+import numpy as np
 
-from mechsearch.objects.meshes import convex, hull, limits, prepare
-from mechsearch.objects.meshes.archive import model_from_npz, model_to_npz
+from mechsearch.files import read_arrays, write_whole
+from mechsearch.files.layout import cache_folder
+from mechsearch.objects.meshes import convex, hull, prepare
 from mechsearch.objects.meshes.mesh_file import source_files
 from mechsearch.objects.meshes.prepare import Prepared, Source
-from mechsearch.types import MechSearchError
+from mechsearch.objects.model import FLAGGED_ERROR, FRICTION, TEXEL_ROWS, ObjectModel
+from mechsearch.processes import PROCESSORS, Failure, Progress, map_in_order, silent
+from mechsearch.types import Array, MechSearchError
 
 
-def cache_folder() -> Path:
-    """Return the user's cache folder, or the one that MECHSEARCH_CACHE names."""
-    named = os.environ.get("MECHSEARCH_CACHE")
-    return Path(named) if named else Path(user_cache_dir("mechsearch"))
+def prepare_all(
+    sources: Sequence[Source], workers: int | None = None, progress: Progress = silent
+) -> list[Prepared]:
+    """Return every object prepared, from the cache where it holds it.
+
+    Args:
+        sources: What to prepare.
+        workers: Most processes; as many as there are processors by default.
+        progress: Told after each object that no cache held.
+
+    Raises:
+        MechSearchError: If objects cannot be prepared; names every one of them.
+    """
+    paths = {source: cache_path(source) for source in sources}
+    found = {source: cached(path) for source, path in paths.items()}
+    todo = [source for source, done in found.items() if done is None]
+    crew = min(workers or PROCESSORS, len(todo))
+    failures = []
+    for done, outcome in enumerate(map_in_order(_outcome, todo, crew, None, _lost), start=1):
+        source = todo[done - 1]
+        if isinstance(outcome, MechSearchError):
+            failures.append(str(outcome))
+        elif outcome:
+            warnings.warn(f"{source.name} keeps one hull: {outcome}", stacklevel=3)
+        found[source] = cached(paths[source])
+        progress(f"preparing, {source.name}", done, len(todo))
+    if failures:
+        raise MechSearchError("; ".join(sorted(failures)))
+    _warn_of_coarse([found[source] for source in todo])
+    lost = [source.name for source, done in found.items() if done is None]
+    if lost:
+        raise MechSearchError(f"cannot keep {', '.join(lost)} in the cache at {cache_folder()}")
+    return [prepared for prepared in found.values() if prepared is not None]
+
+
+def _warn_of_coarse(fresh: Sequence[Prepared | None]) -> None:
+    coarse = [
+        f"{done.model.name} {1000 * done.model.hull_error:.0f} mm"
+        for done in fresh
+        if done and not done.excluded and done.model.flagged
+    ]
+    if coarse:
+        named = f"more than {1000 * FLAGGED_ERROR:.0f} mm from the mesh: {', '.join(coarse)}"
+        warnings.warn(f"convex parts {named}", stacklevel=4)
+
+
+def _outcome(source: Source) -> str | MechSearchError:
+    """Prepare an object; return the remark of its preparation, or why there is none."""
+    try:
+        return prepare_into(source, cache_path(source))
+    except MechSearchError as error:
+        return error
+
+
+def _lost(source: Source, failure: Failure) -> MechSearchError:
+    """Return why an object is not prepared that workers died of."""
+    if failure.error is not None:
+        raise failure.error
+    return MechSearchError(f"cannot prepare {source.name}: {failure.reason}")
 
 
 def cache_key(source: Source) -> str:
@@ -36,22 +95,22 @@ def cache_key(source: Source) -> str:
     settings = [
         prepare.VERSION,
         prepare.MOST_FACES,
-        prepare.TEXEL_ROWS,
+        TEXEL_ROWS,
         prepare.COLOUR_SAMPLES,
-        prepare.FRICTION,
+        FRICTION,
         hull.HULL_VERTICES,
         convex.SINGLE_HULL_ERROR,
         convex.SINGLE_HULL_USUAL_ERROR,
         convex.MOST_PARTS,
         convex.THRESHOLD,
-        limits.LONGEST,
-        limits.SECOND_LONGEST,
-        limits.LARGEST_BOX,
-        limits.SHORTEST,
-        limits.LIGHTEST,
-        limits.DENSITY,
-        limits.GROSS_ERROR,
-        limits.DEFORMABLE,
+        prepare.LONGEST,
+        prepare.SECOND_LONGEST,
+        prepare.LARGEST_BOX,
+        prepare.SMALLEST,
+        prepare.LIGHTEST,
+        prepare.DENSITY,
+        prepare.GROSS_ERROR,
+        prepare.DEFORMABLE,
     ]
     record = [source.name, source.category, source.mass, source.mesh.suffix.lower(), settings]
     sha = hashlib.sha256(json.dumps(record).encode())
@@ -92,3 +151,73 @@ def prepare_into(source: Source, path: Path) -> str:
         identity = hashlib.sha256(f"{identity} {done.remark}".encode()).hexdigest()
     model_to_npz(path, replace(done.model, content_hash=identity), remark=done.excluded)
     return done.remark
+
+
+def digest(*arrays: Array) -> str:
+    """Return the SHA-256 of arrays, their shapes and types, the same on every machine."""
+    sha = hashlib.sha256()
+    for array in arrays:
+        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        sha.update(f"{little.dtype.str}{little.shape}".encode())
+        sha.update(little.tobytes())
+    return sha.hexdigest()
+
+
+def model_to_npz(path: Path, model: ObjectModel, remark: str = "") -> None:
+    """Write a model, whole or not at all.
+
+    Args:
+        path: File to write, ending in .npz.
+        model: What to keep.
+        remark: Free text kept beside it, such as why the object cannot lie in a heap.
+    """
+    text = {
+        "name": model.name,
+        "category": model.category,
+        "content_hash": model.content_hash,
+        "remark": remark,
+    }
+    arrays: dict[str, Array] = {
+        "text": np.frombuffer(json.dumps(text, sort_keys=True).encode(), np.uint8),
+        "vertices": model.vertices,
+        "faces": model.faces,
+        "texels": model.texels,
+        "points": np.concatenate(model.parts),
+        "part_sizes": np.array([len(part) for part in model.parts], np.int64),
+        "scalars": np.array([model.mass, model.friction, model.hull_error], np.float64),
+        "inertia": model.inertia,
+    }
+    arrays["checksum"] = np.frombuffer(_checksum(arrays).encode(), np.uint8)
+    write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))
+
+
+def model_from_npz(path: Path) -> tuple[ObjectModel, str]:
+    """Read a model and its remark.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or not such a file.
+    """
+    try:
+        arrays = read_arrays(path, "object model")
+        checksum = bytes(arrays.pop("checksum")).decode()
+        sound = checksum == _checksum(arrays)
+        model, remark = _model(arrays)
+    except (ValueError, KeyError, TypeError) as error:
+        raise MechSearchError(f"the object model at {path} is damaged: {error}") from None
+    if not sound:
+        raise MechSearchError(f"the object model at {path} is damaged: its checksum differs")
+    return model, remark
+
+
+def _checksum(arrays: Mapping[str, Array]) -> str:
+    return digest(*(arrays[key] for key in sorted(arrays)))
+
+
+def _model(arrays: Mapping[str, Any]) -> tuple[ObjectModel, str]:
+    text = json.loads(bytes(arrays["text"]))
+    remark = text.pop("remark")
+    mass, friction, hull_error = (float(value) for value in arrays["scalars"])
+    parts = tuple(np.split(arrays["points"], np.cumsum(arrays["part_sizes"])[:-1]))
+    shape = {name: arrays[name] for name in ("vertices", "faces", "texels", "inertia")}
+    numbers: dict[str, Any] = {"mass": mass, "friction": friction, "hull_error": hull_error}
+    return ObjectModel(**text, **shape, **numbers, parts=parts), remark

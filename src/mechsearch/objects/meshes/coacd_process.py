@@ -10,7 +10,7 @@ import coacd
 import numpy as np
 
 
-def main(source: str, destination: str) -> None:
+def decompose_file(source: str, destination: str) -> None:
     """Read vertices, faces, threshold and most parts; write the points of each part."""
     with np.load(source, allow_pickle=False) as file:
         mesh = coacd.Mesh(file["vertices"], file["faces"])
@@ -27,4 +27,4 @@ def main(source: str, destination: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2])
+    decompose_file(sys.argv[1], sys.argv[2])

@@ -70,7 +70,8 @@ def convex_parts(
         MechSearchError: If the mesh is flat.
     """
     whole = single_hull(mesh)
-    if whole.error <= SINGLE_HULL_ERROR or _usual_error(mesh, whole) <= SINGLE_HULL_USUAL_ERROR:
+    usual = float(np.percentile(shell_distances(mesh, whole.parts), 95))
+    if whole.error <= SINGLE_HULL_ERROR or usual <= SINGLE_HULL_USUAL_ERROR:
         return whole
     try:
         parts = _decompose(simple, time_limit)
@@ -80,10 +81,6 @@ def convex_parts(
         return ConvexParts(whole.parts, whole.error, f"decomposition failed ({error.returncode})")
     split = ConvexParts(parts, hull_error(mesh, parts), "")
     return split if parts and split.error < whole.error else whole
-
-
-def _usual_error(mesh: trimesh.Trimesh, convex: ConvexParts) -> float:
-    return float(np.percentile(shell_distances(mesh, convex.parts), 95))
 
 
 def _decompose(mesh: trimesh.Trimesh, time_limit: float) -> tuple[Floats, ...]:

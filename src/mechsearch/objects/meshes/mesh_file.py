@@ -55,7 +55,7 @@ def read_pieces(path: Path) -> list[trimesh.Trimesh]:
     return pieces
 
 
-def joined(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def merge_pieces(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Return one plain mesh of all pieces, with equal vertices merged."""
     offsets = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     faces = [piece.faces + offset for piece, offset in zip(pieces, offsets, strict=False)]

@@ -1,4 +1,7 @@
-"""From a mesh file and a mass to an object ready for physics and rendering."""
+"""From a mesh file and a mass to an object ready for physics and rendering.
+
+Not every object can lie in a heap: of those that cannot, the reason is told.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,26 +12,41 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from mechsearch.objects.hashing import content_hash
-from mechsearch.objects.meshes.convex import ConvexParts, convex_parts, single_hull
+from mechsearch.objects.meshes.convex import ConvexParts, single_hull
 from mechsearch.objects.meshes.hull import MassProperties, as_mesh, mass_properties
-from mechsearch.objects.meshes.known_parts import known_parts
-from mechsearch.objects.meshes.limits import why_wrong_mass, why_wrong_shape, why_wrong_size
-from mechsearch.objects.meshes.mesh_file import joined, read_pieces
+from mechsearch.objects.meshes.known_parts import parts_of
+from mechsearch.objects.meshes.mesh_file import merge_pieces, read_pieces
 from mechsearch.objects.meshes.texels import bake_texels
-from mechsearch.objects.model import ObjectModel
+from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, content_hash
 from mechsearch.types import Floats, MechSearchError
 
 VERSION = 2
 """Raised with every change of the results of preparation, so that old cache files are not used."""
 
 MOST_FACES = 1500
-TEXEL_ROWS = 6
 COLOUR_SAMPLES = 200_000
-FRICTION = 0.5
-"""Sliding friction of an object whose own is unknown; about wood on wood."""
 
+LONGEST = 0.26
+SECOND_LONGEST = 0.17
+LARGEST_BOX = 0.004
+"""Longest sides [m] and largest bounding box [m^3] of an object in a heap."""
 
+SMALLEST = 0.03
+"""An object with no side longer than this [m] is too small to see and to push."""
+
+LIGHTEST = 0.005
+"""Contacts with neighbours a hundred times heavier than this [kg] become unstable."""
+
+DENSITY = (20.0, 20_000.0)
+"""Mass over hull volume [kg/m^3] that an object may have; outside, mass or scale is wrong."""
+
+GROSS_ERROR = 0.02
+"""Largest distance between mesh and convex parts [m] that physics can do with."""
+
+DEFORMABLE = {"059_chain": "deformable: a chain"}
+"""Objects that are not rigid, by name."""
+
+_oriented_bounds: Callable[..., tuple[Floats, Floats]] = trimesh.bounds.oriented_bounds
 _subdivide: Callable[..., tuple[Floats, NDArray[np.int64]]] = trimesh.remesh.subdivide
 
 
@@ -77,17 +95,13 @@ def prepare(source: Source) -> Prepared:
             f"the mass of {source.name} is {source.mass}; expected a positive number of kilograms"
         )
     pieces = read_pieces(source.mesh)
-    mesh = joined(pieces)
+    mesh = merge_pieces(pieces)
     try:
         whole = single_hull(mesh)
         vertices, faces = simplified(mesh)
         wrong_size = why_wrong_size(source.name, np.asarray(mesh.vertices))
-        convex = (
-            whole
-            if wrong_size
-            else known_parts(source.mesh)
-            or convex_parts(mesh, trimesh.Trimesh(vertices, faces, process=False))
-        )
+        simple = trimesh.Trimesh(vertices, faces, process=False)
+        convex = whole if wrong_size else parts_of(source.mesh, mesh, simple)
     except (MechSearchError, ValueError, IndexError) as error:
         raise MechSearchError(f"cannot prepare {source.name} from {source.mesh}: {error}") from None
     texels = bake_texels(vertices, faces, pieces, source.name, TEXEL_ROWS, COLOUR_SAMPLES)
@@ -97,7 +111,23 @@ def prepare(source: Source) -> Prepared:
         or why_wrong_mass(source.mass, float(mesh.convex_hull.volume))
         or why_wrong_shape(convex.error, convex.remark)
     )
-    model = _model(source, vertices - body.centre, faces, texels, convex, body)
+    vertices, parts = vertices - body.centre, tuple(part - body.centre for part in convex.parts)
+    identity = content_hash(
+        source.name, vertices, faces, texels, parts, source.mass, body.inertia, FRICTION
+    )
+    model = ObjectModel(
+        name=source.name,
+        category=source.category,
+        vertices=vertices,
+        faces=faces,
+        texels=texels,
+        parts=parts,
+        mass=source.mass,
+        inertia=body.inertia,
+        friction=FRICTION,
+        hull_error=convex.error,
+        content_hash=identity,
+    )
     return Prepared(model, excluded, convex.remark)
 
 
@@ -135,27 +165,42 @@ def _possible(body: MassProperties, mesh: trimesh.Trimesh) -> bool:
     return within and moments[0] > 0 and moments[0] + moments[1] >= moments[2]
 
 
-def _model(
-    source: Source,
-    vertices: Floats,
-    faces: NDArray[np.int32],
-    texels: NDArray[np.uint8],
-    convex: ConvexParts,
-    body: MassProperties,
-) -> ObjectModel:
-    parts = tuple(part - body.centre for part in convex.parts)
-    return ObjectModel(
-        name=source.name,
-        category=source.category,
-        vertices=vertices,
-        faces=faces,
-        texels=texels,
-        parts=parts,
-        mass=source.mass,
-        inertia=body.inertia,
-        friction=FRICTION,
-        hull_error=convex.error,
-        content_hash=content_hash(
-            source.name, vertices, faces, texels, parts, source.mass, body.inertia, FRICTION
-        ),
-    )
+def sides(points: Floats) -> Floats:
+    """Return the sides (3,) [m] of the smallest box about points (N, 3), longest first."""
+    _, extents = _oriented_bounds(points)
+    return np.sort(extents)[::-1]
+
+
+def why_wrong_size(name: str, points: Floats) -> str:
+    """Return why a mesh (N, 3) [m] is too large, too small or not rigid, or an empty string."""
+    if name in DEFORMABLE:
+        return DEFORMABLE[name]
+    longest, second, third = sides(points)
+    measured = f"{longest:.3g} x {second:.3g} x {third:.3g} m"
+    if longest > LONGEST or second > SECOND_LONGEST or longest * second * third > LARGEST_BOX:
+        hint = "; are its units metres?" if longest > 2 else ""
+        return f"too large: {measured}{hint}"
+    if longest < SMALLEST:
+        return f"too small: {measured}"
+    return ""
+
+
+def why_wrong_mass(mass: float, volume: float) -> str:
+    """Return why a mass [kg] does not fit a volume [m^3], or an empty string."""
+    if mass < LIGHTEST:
+        return f"too light: {1000 * mass:.3g} g"
+    density = mass / volume
+    if not DENSITY[0] <= density <= DENSITY[1]:
+        return (
+            f"its mass of {mass:.4g} kg does not fit its volume of {1e6 * volume:.4g} cm3 "
+            f"({density:.3g} kg/m3)"
+        )
+    return ""
+
+
+def why_wrong_shape(error: float, remark: str) -> str:
+    """Return why convex parts with this error [m] cannot stand for a mesh, or an empty string."""
+    if error > GROSS_ERROR:
+        cause = f" ({remark})" if remark else ""
+        return f"its convex parts are up to {1000 * error:.0f} mm from its mesh{cause}"
+    return ""

@@ -12,18 +12,12 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from mechsearch.objects.meshes.hull import sample_surface
+from mechsearch.objects.model import texel_weights
 from mechsearch.types import Floats
 
 Colours = NDArray[np.uint8]
 
 _to_simple: Callable[[PBRMaterial], SimpleMaterial] = PBRMaterial.to_simple
-
-
-def barycentric_grid(rows: int) -> Floats:
-    """Return barycentric coordinates (T, 3), T = rows (rows + 1) / 2, in `ObjectModel`'s order."""
-    cells = [(i, j) for i in range(rows) for j in range(rows - i)]
-    second, third = (np.array(cells, np.float64).T + 1 / 3) / rows
-    return np.stack([1 - second - third, second, third], axis=1)
 
 
 def bake_texels(
@@ -47,7 +41,7 @@ def bake_texels(
     cloud, colours = _coloured_cloud(pieces, name, samples)
     if (colours == colours[0]).all():
         return np.broadcast_to(colours[0], (len(faces), 1, 3)).copy()
-    points = np.einsum("tk,fkd->ftd", barycentric_grid(rows), vertices[faces])
+    points = np.einsum("tk,fkd->ftd", texel_weights(rows, 1 / 3), vertices[faces])
     _, nearest = cKDTree(cloud).query(points.reshape(-1, 3))
     baked: Colours = colours[nearest].reshape(*points.shape)
     return baked

@@ -43,10 +43,7 @@ class Patience:
 
 
 def fetch(
-    url: str,
-    partial: Path,
-    patience: Patience,
-    advance: Callable[[int, int | None], None] = lambda have, total: None,
+    url: str, partial: Path, patience: Patience, advance: Callable[[int], None] = lambda have: None
 ) -> None:
     """Fetch `url` into `partial`, going on from what an earlier call left there.
 
@@ -56,7 +53,7 @@ def fetch(
         url: What to fetch.
         partial: Where it grows; its validator is kept beside it, ending in .etag.
         patience: Tries and waits.
-        advance: Called with the bytes had and the bytes in all (None when not known).
+        advance: Called with the bytes had.
 
     Raises:
         NotServed: If the server has no such file.
@@ -75,12 +72,11 @@ def fetch(
             time.sleep(patience.wait * 2 ** max(fruitless - 1, 0))
 
 
-def _attempt(
-    url: str, partial: Path, timeout: float, advance: Callable[[int, int | None], None]
-) -> None:
+def _attempt(url: str, partial: Path, timeout: float, advance: Callable[[int], None]) -> None:
     with _open(url, partial, timeout) as response:
         start = _start(response, partial)
-        total = _total(response, start)
+        length = response.headers.get("Content-Length", "")
+        total = start + int(length) if length.isdigit() else None
         etag = response.headers.get("ETag", "")
         _note(partial).write_text(_validator(response), encoding="utf-8")
         with partial.open("r+b" if start else "wb") as file:
@@ -88,7 +84,7 @@ def _attempt(
             file.seek(start)
             for chunk in _chunks(response):
                 file.write(chunk)
-                advance(file.tell(), total)
+                advance(file.tell())
     _verify(partial, total, etag)
 
 
@@ -124,11 +120,6 @@ def _start(response: HTTPResponse, partial: Path) -> int:
         discard(partial)
         raise _Cut("the server continued another file")
     return have
-
-
-def _total(response: HTTPResponse, start: int) -> int | None:
-    length = response.headers.get("Content-Length", "")
-    return start + int(length) if length.isdigit() else None
 
 
 def _chunks(response: HTTPResponse) -> Iterator[bytes]:
