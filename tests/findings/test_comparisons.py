@@ -6,7 +6,7 @@ import pytest
 from mechsearch.evaluation.episodes import save_episodes
 from mechsearch.evaluation.metrics import METRICS, Estimate
 from mechsearch.findings.analysis import analyse
-from mechsearch.findings.comparisons import Difference, compare_with_others, comparison_table
+from mechsearch.findings.comparisons import compare_with_others, comparison_table, outcome
 from mechsearch.findings.experiment import Condition, read_experiment
 from mechsearch.findings.tables import MINUS
 
@@ -17,7 +17,7 @@ def condition(loose: Path) -> Condition:
 
 
 @pytest.mark.parametrize(
-    ("metric", "low", "high", "outcome"),
+    ("metric", "low", "high", "expected"),
     [
         ("reward", 1, 2, "better"),
         ("reward", -2, -1, "worse"),
@@ -29,9 +29,9 @@ def condition(loose: Path) -> Condition:
     ],
 )
 def test_the_interval_decides_and_direction_depends_on_the_metric(
-    metric: str, low: float, high: float, outcome: str
+    metric: str, low: float, high: float, expected: str
 ) -> None:
-    assert Difference(metric, Estimate((low + high) / 2, low, high, 9)).outcome == outcome
+    assert outcome(metric, Estimate((low + high) / 2, low, high, 9)) == expected
 
 
 def test_the_sentence_says_whom_it_beats_and_to_whom_it_loses(condition: Condition) -> None:
@@ -85,11 +85,9 @@ def test_seeds_that_disagree_leave_undecided_what_one_seed_would_decide(
         save_episodes(tmp_path / f"mine-{seed}.npz", make_evaluation("mine", gain, **header))
     one = read_experiment(tmp_path / "mine-0.npz", tmp_path / "idle.npz").conditions["single"]
     both = read_experiment(tmp_path).conditions["single"]
-    outcomes = [
-        compare_with_others(condition, "mine").against["idle"][1].outcome
-        for condition in (one, both)
-    ]
-    assert outcomes == ["better", "undecided"]
+    metric = "visibility_change"
+    found = [compare_with_others(c, "mine").against["idle"][metric] for c in (one, both)]
+    assert [outcome(metric, difference) for difference in found] == ["better", "undecided"]
 
 
 def test_another_teacher_is_compared_with_and_changes_no_claim(sweep: Path, loose: Path) -> None:

@@ -1,6 +1,6 @@
 """All that is found of an experiment, once: claims or comparisons, tables, and rows of numbers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -179,22 +179,16 @@ def made_table(condition: Condition) -> Table:
     return Table(caption, _MADE, tuple(rows), words=True, widths=_MADE_WIDTHS)
 
 
-def made_notes(experiment: Experiment) -> Iterator[str]:
-    """Yield in what the policies were not computed alike."""
+def made_notes(experiment: Experiment) -> list[str]:
+    """Return in what the policies were not computed alike, and the plan that they follow."""
     found: Mapping[str, Mapping[str, str]] = {
         f"{condition.name} {one.name}, seed {one.seed}": one.header.get("fingerprint", {})
         for condition in experiment.conditions.values()
         for one in condition.scored
     }
-    yield from mixed(found)
-
-
-def plan_text(experiment: Experiment) -> str:
-    """Return the plan that the experiments follow, in a line; nothing without one."""
-    parts = [
-        f"{k.replace('_', ' ')} {_text(value)}" for k, value in (experiment.plan or {}).items()
-    ]
-    return f"The plan of the experiments: {'; '.join(sorted(parts))}." if parts else ""
+    plan = [f"{k.replace('_', ' ')} {_text(v)}" for k, v in (experiment.plan or {}).items()]
+    follows = [f"The plan of the experiments: {'; '.join(sorted(plan))}."] if plan else []
+    return [*mixed(found), *follows]
 
 
 def _tried(condition: Condition, scored: ScoredPolicy) -> int:

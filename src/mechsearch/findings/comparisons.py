@@ -8,7 +8,7 @@ import numpy as np
 from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, METRICS, Estimate
 from mechsearch.findings.experiment import Condition
 from mechsearch.findings.questions import ShareOfGap, difference
-from mechsearch.findings.tables import Table, cell, display, number, percent
+from mechsearch.findings.tables import Scores, Table, cell, display, number, percent
 
 _OPENINGS = {
     "better": "beats",
@@ -20,47 +20,33 @@ _SIGNS = {"better": "▲ ", "worse": "▼ ", "undecided": "≈ "}
 
 
 @dataclass(frozen=True)
-class Difference:
-    """How one policy compares with another on the same heaps.
-
-    Attributes:
-        metric: Name in `METRICS`.
-        estimate: The one minus the other.
-    """
-
-    metric: str
-    estimate: Estimate
-
-    @property
-    def outcome(self) -> str:
-        """Either "better", "worse" or "undecided": the last if the interval holds zero."""
-        if not (self.estimate.ci_low > 0 or self.estimate.ci_high < 0):
-            return "undecided"
-        higher = self.estimate.mean > 0
-        return "better" if higher == HIGHER_IS_BETTER[self.metric] else "worse"
-
-
-@dataclass(frozen=True)
 class Comparison:
     """One policy held against every other of its condition.
 
     Attributes:
         condition: Its name.
         ours: The policy.
-        against: Differences in each of `METRICS`, by the name of the other policy.
+        against: Ours minus theirs by each of `METRICS`, by the name of the other policy.
         sentences: In reward against all, and against doing nothing useful and the teachers.
     """
 
     condition: str
     ours: str
-    against: Mapping[str, Sequence[Difference]]
+    against: Mapping[str, Scores]
     sentences: tuple[str, ...]
+
+
+def outcome(metric: str, difference: Estimate) -> str:
+    """Return "better", "worse" or "undecided": the last if the interval holds zero."""
+    if not (difference.ci_low > 0 or difference.ci_high < 0):
+        return "undecided"
+    return "better" if (difference.mean > 0) == HIGHER_IS_BETTER[metric] else "worse"
 
 
 def compare_with_others(condition: Condition, ours: str) -> Comparison:
     """Return how a policy compares with every other of its condition."""
     against = {
-        theirs: [Difference(m, difference(condition, m, ours, theirs)) for m in METRICS]
+        theirs: {m: difference(condition, m, ours, theirs) for m in METRICS}
         for theirs in condition.policies
         if theirs != ours
     }
@@ -71,32 +57,28 @@ def compare_with_others(condition: Condition, ours: str) -> Comparison:
 
 def comparison_table(comparison: Comparison) -> Table:
     """Return the differences to every other policy, each marked with what it means."""
-    rows = tuple(
-        (theirs, *(_SIGNS[d.outcome] + cell(d.metric, d.estimate, signed=True) for d in found))
-        for theirs, found in comparison.against.items()
-    )
-    marks = [
-        [d.outcome.replace("undecided", "") for d in found] for found in comparison.against.values()
-    ]
+    rows, marks = [], []
+    for theirs, found in comparison.against.items():
+        outcomes = [outcome(*one) for one in found.items()]
+        cells = [cell(*one, signed=True) for one in found.items()]
+        rows.append((theirs, *(_SIGNS[o] + text for o, text in zip(outcomes, cells, strict=True))))
+        marks.append([one.replace("undecided", "") for one in outcomes])
     labels = [display(metric).label.replace("[%]", "[points]") for metric in METRICS]
     caption = f"{comparison.ours} minus each other policy: ▲ better, ▼ worse, ≈ no clear difference"
-    return Table(caption, ("against", *labels), rows, marks)
+    return Table(caption, ("against", *labels), tuple(rows), marks)
 
 
-def _in_reward(ours: str, against: Mapping[str, Sequence[Difference]]) -> str:
+def _in_reward(ours: str, against: Mapping[str, Scores]) -> str:
     """Return whom a policy beats in reward, whom it does not, and to whom it loses."""
-    groups: dict[str, list[str]] = {outcome: [] for outcome in _OPENINGS}
-    for theirs, found in against.items():
-        reward = found[METRICS.index("reward")]
-        shown = cell("reward", reward.estimate, signed=True).replace("\n", ", ")
-        groups[reward.outcome].append(f"{theirs} ({shown})")
-    parts = [f"{_OPENINGS[outcome]} {_listed(names)}" for outcome, names in groups.items() if names]
+    shown = {
+        theirs: f"{theirs} ({cell('reward', found['reward'], signed=True)})".replace("\n", ", ")
+        for theirs, found in against.items()
+    }
+    parts = _grouped_in_words(_OPENINGS, "reward", against, shown)
     return f"In reward, {ours} {'; it '.join(parts)}."
 
 
-def _against_teachers(
-    condition: Condition, ours: str, against: Mapping[str, Sequence[Difference]]
-) -> list[str]:
+def _against_teachers(condition: Condition, ours: str, against: Mapping[str, Scores]) -> list[str]:
     """Return where a policy stands between doing nothing useful and the best teacher.
 
     Three sentences, since reward alone can be won by hovering: the share of the gap in reward that
@@ -116,14 +98,8 @@ def _against_teachers(
     def mean(metric: str, name: str) -> str:
         return number(metric, float(condition.matrices([name], metric)[0].mean()))
 
-    groups: dict[str, list[str]] = {outcome: [] for outcome in _AMOUNTS}
-    for teacher in teachers:
-        if teacher != ours:
-            clutter = against[teacher][METRICS.index("clutter_moved_m")]
-            groups[clutter.outcome].append(teacher)
-    amounts = [
-        f"{_AMOUNTS[outcome]} {_listed(names)}" for outcome, names in groups.items() if names
-    ]
+    others = {teacher: teacher for teacher in teachers if teacher != ours}
+    amounts = _grouped_in_words(_AMOUNTS, "clutter_moved_m", against, others)
     return [
         f"Of the gap in reward between the better of doing nothing useful ({floor}, "
         f"{mean('reward', floor)}) and the best teacher ({best}, {mean('reward', best)}), {ours} "
@@ -133,6 +109,15 @@ def _against_teachers(
         f"It moves every other object by {mean('clutter_moved_m', ours)} cm on average"
         f"{': ' if amounts else ''}{', '.join(amounts)}.",
     ]
+
+
+def _grouped_in_words(
+    words: Mapping[str, str], metric: str, against: Mapping[str, Scores], shown: Mapping[str, str]
+) -> list[str]:
+    """Return the other policies by how ours compares with them, such as "beats idle"."""
+    outcomes = {theirs: outcome(metric, against[theirs][metric]) for theirs in shown}
+    groups = {o: [shown[theirs] for theirs in shown if outcomes[theirs] == o] for o in words}
+    return [f"{words[o]} {_listed(names)}" for o, names in groups.items() if names]
 
 
 def _share(estimate: Estimate) -> str:

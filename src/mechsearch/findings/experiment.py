@@ -223,17 +223,19 @@ def ordered(names: Iterable[str]) -> list[str]:
 
 def distinct_names(headers: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a name for each evaluation that tells it from the others, no longer than needed."""
-    names = [str(header["name"]) for header in headers]
-    seeds = [h["training_seed"] if h["trained"] else h.get("seed", 0) for h in headers]
-    seeded = [f"{name}, seed {seed}" for name, seed in zip(names, seeds, strict=True)]
-    counted = [
-        f"{name}, {header['training_actions']:,} actions"
-        for name, header in zip(seeded, headers, strict=True)
+    words = [
+        (
+            str(h["name"]),
+            f"seed {h['training_seed'] if h['trained'] else h.get('seed', 0)}",
+            f"{h['training_actions']:,} actions",
+            f"file {i + 1}",
+        )
+        for i, h in enumerate(headers)
     ]
-    for better in (seeded, counted, [f"{name} ({i + 1})" for i, name in enumerate(counted)]):
-        names = [
-            new if names.count(old) > 1 else old for old, new in zip(names, better, strict=True)
-        ]
+    names = [one[0] for one in words]
+    for number in (2, 3, 4):
+        longer = [", ".join(one[:number]) for one in words]
+        names = [b if names.count(a) > 1 else a for a, b in zip(names, longer, strict=True)]
     return names
 
 

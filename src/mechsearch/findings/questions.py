@@ -54,46 +54,54 @@ class Question(Protocol):
 
 
 @dataclass(frozen=True)
-class Better:
-    """Is one policy better than another on the same heaps?
+class _OfPolicy:
+    """What a question is about.
 
     Attributes:
         condition: Of the heaps.
         metric: Which direction is better is known of it.
         ours: A policy.
-        theirs: Another, or `FLOOR` or `BEST_TEACHER`.
-        worse: Ask whether it is worse instead.
     """
 
     condition: str
     metric: str
     ours: str
-    theirs: str
-    worse: bool = False
 
-    def ask(self, experiment: Experiment) -> Answer:
-        """Answer by the mean paired difference, ours minus theirs."""
-        about = f"{self.condition}, {display(self.metric).label}"
-        condition = experiment.condition(self.condition)
-        names = [self.ours, resolved(condition, self.metric, self.theirs)]
-        if not condition.measured(self.metric, *names):
-            return Answer(about, f"{self.ours} against {self.theirs}", UNMEASURED)
-        means = [float(values.mean()) for values in condition.matrices(names, self.metric)]
-        estimate = difference(condition, self.metric, *names)
-        above = HIGHER_IS_BETTER[self.metric] != self.worse
-        figures = f"{_means(self.metric, names, means)}: {difference_text(self.metric, estimate)}"
-        test = f"paired difference, {_sizes(condition, names, self.metric)}"
-        return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
+    @property
+    def about(self) -> str:
+        """Condition and metric in words."""
+        return f"{self.condition}, {display(self.metric).label}"
 
 
 @dataclass(frozen=True)
-class ShareOfGap:
+class Better(_OfPolicy):
+    """Is one policy better than another on the same heaps?
+
+    Attributes:
+        theirs: The other, or `FLOOR` or `BEST_TEACHER`.
+    """
+
+    theirs: str
+
+    def ask(self, experiment: Experiment) -> Answer:
+        """Answer by the mean paired difference, ours minus theirs."""
+        condition = experiment.condition(self.condition)
+        names = [self.ours, resolved(condition, self.metric, self.theirs)]
+        if not condition.measured(self.metric, *names):
+            return Answer(self.about, f"{self.ours} against {self.theirs}", UNMEASURED)
+        means = [float(values.mean()) for values in condition.matrices(names, self.metric)]
+        estimate = difference(condition, self.metric, *names)
+        above = HIGHER_IS_BETTER[self.metric]
+        figures = f"{_means(self.metric, names, means)}: {difference_text(self.metric, estimate)}"
+        test = f"paired difference, {_sizes(condition, names, self.metric)}"
+        return Answer(self.about, figures, verdict(estimate, 0, above), test, estimate)
+
+
+@dataclass(frozen=True)
+class ShareOfGap(_OfPolicy):
     """How much of the way from doing nothing useful to the best teacher does a policy go?
 
     Attributes:
-        condition: Of the heaps.
-        metric: Gap in which.
-        ours: A policy.
         least: Share that the answer is compared with.
         above: Whether it should lie above that.
         lost_by: Ask for the share that this other policy loses against `ours` instead.
@@ -101,9 +109,6 @@ class ShareOfGap:
         teachers: Among which is the best.
     """
 
-    condition: str
-    metric: str
-    ours: str
     least: float
     above: bool = True
     lost_by: str = ""
@@ -112,24 +117,25 @@ class ShareOfGap:
 
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by a ratio of differences of means."""
-        about = f"{self.condition}, {display(self.metric).label}"
         condition = experiment.condition(self.condition)
         names = self.names(condition)
         if not condition.measured(self.metric, *names):
             subject = self.lost_by or self.ours
-            return Answer(about, f"{subject} against {BEST_TEACHER}", UNMEASURED)
+            return Answer(self.about, f"{subject} against {BEST_TEACHER}", UNMEASURED)
         means = [float(values.mean()) for values in condition.matrices(names, self.metric)]
         estimate = self.share(condition)
         kept = [i for i in range(len(names)) if not (self.from_nothing and i == 1)]
         shown = _means(self.metric, [names[i] for i in kept], [means[i] for i in kept])
         if np.isnan(estimate.mean):
-            return Answer(about, f"{shown}: {names[2]} is no better, there is no gap", UNDECIDED)
+            figures = f"{shown}: {names[2]} is no better, there is no gap"
+            return Answer(self.about, figures, UNDECIDED)
         figures = f"{shown}: {percent(estimate)} of the {'change' if self.from_nothing else 'gap'}"
         if self.lost_by:
             figures += " lost"
         side = "more" if self.above else "less"
         test = f"{side} than {self.least:.0%}; {_sizes(condition, names, self.metric)}"
-        return Answer(about, figures, verdict(estimate, self.least, self.above), test, estimate)
+        found = verdict(estimate, self.least, self.above)
+        return Answer(self.about, figures, found, test, estimate)
 
     def names(self, condition: Condition) -> list[str]:
         """Return ours, the floor, the best teacher, and the one that loses; "" for one missing."""
@@ -191,59 +197,46 @@ class Harder:
 
 
 @dataclass(frozen=True)
-class Level:
+class Level(_OfPolicy):
     """Does a policy's mean lie above a number?
 
     Attributes:
-        condition: Of the heaps.
-        metric: By which.
-        ours: A policy.
         least: The number, in the metric's own unit.
     """
 
-    condition: str
-    metric: str
-    ours: str
     least: float
 
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the mean."""
-        about = f"{self.condition}, {display(self.metric).label}"
         condition = experiment.condition(self.condition)
         if not condition.measured(self.metric, self.ours):
-            return Answer(about, self.ours, UNMEASURED)
+            return Answer(self.about, self.ours, UNMEASURED)
         estimate = estimated(condition.matrices([self.ours], self.metric))
         low, high = (number(self.metric, end) for end in (estimate.ci_low, estimate.ci_high))
         figures = f"{self.ours} {number(self.metric, estimate.mean)} ({low} to {high})"
         least = number(self.metric, self.least)
         test = f"more than {least}; {_sizes(condition, [self.ours], self.metric)}"
-        return Answer(about, figures, verdict(estimate, self.least, True), test, estimate)
+        return Answer(self.about, figures, verdict(estimate, self.least, True), test, estimate)
 
 
 @dataclass(frozen=True)
-class Rises:
+class Rises(_OfPolicy):
     """Does a learning curve improve on its own beginning?
 
     Attributes:
-        condition: Of the heaps.
-        metric: Of the curve.
-        ours: A variant.
         within: Actions until the later point.
     """
 
-    condition: str
-    metric: str
-    ours: str
     within: int
 
     def ask(self, experiment: Experiment) -> Answer:
         """Answer by the later point minus the untrained one, with Student's t over the seeds."""
-        about = f"{self.condition}, {display(self.metric).label}"
         runs = experiment.condition(self.condition).runs.get(self.ours, ())
         drawn = learning_curve(runs, self.metric, experiment.scored_on)
         place = int((drawn.steps <= self.within).sum()) - 1 if drawn else 0
         if drawn is None or drawn.steps[0] > 0 or place < 1:
-            return Answer(about, f"the curve of {self.ours} from its beginning", UNMEASURED)
+            figures = f"the curve of {self.ours} from its beginning"
+            return Answer(self.about, figures, UNMEASURED)
         step, first, last = drawn.steps[place], drawn.seeds[:, 0], drawn.seeds[:, place]
         estimate = mean_interval(last - first)
         figures = (
@@ -251,11 +244,10 @@ class Rises:
             f"{number(self.metric, float(last.mean()))} after {step:,.0f} actions: "
             f"{difference_text(self.metric, estimate)}"
         )
-        test = f"Student's t over {len(first)} seeds"
-        if len(first) == 1:
-            test = "1 seed: no interval"
+        seeds = len(first)
+        test = "1 seed: no interval" if seeds == 1 else f"Student's t over {seeds} seeds"
         above = HIGHER_IS_BETTER[self.metric]
-        return Answer(about, figures, verdict(estimate, 0, above), test, estimate)
+        return Answer(self.about, figures, verdict(estimate, 0, above), test, estimate)
 
 
 @dataclass(frozen=True)

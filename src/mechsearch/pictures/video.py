@@ -1,7 +1,6 @@
 """Films of recorded episodes: GIF with Pillow alone, MP4 with the `video` extra."""
 
 import importlib.util
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ from PIL import Image
 
 from mechsearch.files import write_whole
 from mechsearch.pictures.filmstrip import Film
-from mechsearch.types import MechSearchError
+from mechsearch.types import Array, MechSearchError
 
 FORMATS = (".gif", ".mp4")
 
@@ -42,14 +41,6 @@ def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
         )
 
 
-def _frames(film: Film, rate: float) -> Iterator[Image.Image]:
-    last = len(film.record.actions)
-    for step in range(last + 1):
-        yield film.frame(step)
-    for _ in range(max(1, round(rate))):
-        yield film.frame(last)
-
-
 def _write_gif(path: Path, film: Film, rate: float) -> None:
     last = len(film.record.actions)
     frames = [film.frame(step) for step in range(last + 1)]
@@ -73,19 +64,18 @@ def _write_gif(path: Path, film: Film, rate: float) -> None:
 def _write_mp4(path: Path, film: Film, rate: float) -> None:
     import imageio_ffmpeg
 
-    frames = (_even(np.asarray(frame)) for frame in _frames(film, rate))
-    first = next(frames)
+    last = len(film.record.actions)
+    steps = [*range(last + 1), *[last] * max(1, round(rate))]
+    first = _even(film.frame(0))
     writer = imageio_ffmpeg.write_frames(
         str(path), (first.shape[1], first.shape[0]), fps=rate, macro_block_size=2, quality=8
     )
     writer.send(None)
-    writer.send(first)
-    for frame in frames:
-        writer.send(frame)
+    for step in steps:
+        writer.send(_even(film.frame(step)))
     writer.close()
 
 
-def _even(image: np.ndarray) -> np.ndarray:
-    """Return the image without its last odd row or column, as the encoder needs."""
-    height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    return np.ascontiguousarray(image[:height, :width])
+def _even(image: Image.Image) -> Array:
+    """Return the pixels without the last odd row or column, as the encoder needs."""
+    return np.ascontiguousarray(np.asarray(image)[: image.height // 2 * 2, : image.width // 2 * 2])

@@ -178,6 +178,5 @@ def _episodes(experiment: Experiment, models: Models) -> Iterator[Content]:
 
 def _made(experiment: Experiment) -> Iterator[Content]:
     yield from map(analysis.made_table, experiment.conditions.values())
-    yield from map(Paragraph, analysis.made_notes(experiment))
-    if experiment.plan:
-        yield Paragraph(analysis.plan_text(experiment), "note")
+    for note in analysis.made_notes(experiment):
+        yield Paragraph(note, "note")

@@ -208,15 +208,12 @@ def spaced(heights: Sequence[float], gap: float) -> list[float]:
     for height in heights:
         groups.append([height])
         # Labels that touch share the middle of where they want to be.
-        while len(groups) > 1 and _bottom(groups[-1], gap) - _top(groups[-2], gap) < gap:
+        while len(groups) > 1 and _places(groups[-1], gap)[0] - _places(groups[-2], gap)[-1] < gap:
             last = groups.pop()
             groups[-1] += last
-    return [_bottom(group, gap) + i * gap for group in groups for i in range(len(group))]
+    return [place for group in groups for place in _places(group, gap)]
 
 
-def _bottom(group: Sequence[float], gap: float) -> float:
-    return sum(group) / len(group) - gap * (len(group) - 1) / 2
-
-
-def _top(group: Sequence[float], gap: float) -> float:
-    return _bottom(group, gap) + gap * (len(group) - 1)
+def _places(group: Sequence[float], gap: float) -> list[float]:
+    bottom = sum(group) / len(group) - gap * (len(group) - 1) / 2
+    return [bottom + i * gap for i in range(len(group))]
