@@ -14,8 +14,8 @@ demo: $(READY)
 test: check unit
 
 check: $(READY)
-	$(BIN)/ruff format --check src tests examples benchmarks soak
-	$(BIN)/ruff check src tests examples benchmarks soak
+	$(BIN)/ruff format --check src tests examples benchmarks soak docs
+	$(BIN)/ruff check src tests examples benchmarks soak docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 

@@ -9,14 +9,6 @@ import tomllib
 from collections import Counter
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-matplotlib.rcParams["svg.hashsalt"] = "mechsearch"
-
-import matplotlib.pyplot as plt
-from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
-
 ROOT = Path(__file__).parents[1]
 PACKAGE = "mechsearch"
 
@@ -84,7 +76,8 @@ def room_of(module):
 def rows():
     """Return the rooms row by row, the highest first, as the import contract has them."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    contract = next(c for c in settings["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    contract = next(one for one in contracts if one["type"] == "layers")
     return [row.replace(":", "|").split(" | ") for row in contract["layers"]]
 
 
@@ -92,15 +85,20 @@ def direct(arrows):
     """Return the arrows that do not follow from others."""
 
     def reaches(one, other, left):
-        return any(
-            b == other or reaches(b, other, left) for a, b in left if a == one and b != one
-        )
+        return any(b == other or reaches(b, other, left) for a, b in left if a == one and b != one)
 
     return [arrow for arrow in arrows if not reaches(*arrow, [a for a in arrows if a != arrow])]
 
 
 def draw(folder, out):
-    """Draw the rooms in their rows, and which import which; what follows from others is left out."""
+    """Draw the rooms in their rows, and the arrows between them that do not follow from others."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "mechsearch"
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+
     names = modules(folder)
     lines, arrows = Counter(), Counter()
     for name, file in names.items():

@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.camera import PRESETS, Camera, preset
+from mechsearch.camera import VIEWS, Camera, preset
 from mechsearch.types import MechSearchError
 
 
-@given(st.sampled_from(list(PRESETS)), st.integers(0, 2**32 - 1), st.sampled_from([64, 84, 128]))
+@given(st.sampled_from(list(VIEWS)), st.integers(0, 2**32 - 1), st.sampled_from([64, 84, 128]))
 def test_projecting_a_back_projected_pixel_returns_it(name, seed, size):
     camera = preset(name, size)
     depth = np.random.default_rng(seed).uniform(0.3, 2.0, (size, size))
@@ -18,7 +18,7 @@ def test_projecting_a_back_projected_pixel_returns_it(name, seed, size):
     np.testing.assert_allclose(projected[..., 2], depth, atol=1e-9)
 
 
-@given(st.sampled_from(list(PRESETS)), st.integers(0, 2**32 - 1), st.integers(8, 200))
+@given(st.sampled_from(list(VIEWS)), st.integers(0, 2**32 - 1), st.integers(8, 200))
 def test_a_point_lies_on_the_ray_of_its_own_pixel_at_its_own_depth(name, seed, size):
     camera = preset(name, size)
     point = np.random.default_rng(seed).uniform([-0.3, -0.3, 0], [0.3, 0.3, 0.25])
@@ -29,7 +29,7 @@ def test_a_point_lies_on_the_ray_of_its_own_pixel_at_its_own_depth(name, seed, s
     assert depth == pytest.approx((point - eye) @ camera.pose[:3, 2])
 
 
-@given(st.sampled_from(list(PRESETS)), st.integers(8, 200), st.integers(8, 200))
+@given(st.sampled_from(list(VIEWS)), st.integers(8, 200), st.integers(8, 200))
 def test_a_resized_view_maps_pixels_in_proportion_and_back(name, one, other):
     camera = preset(name, one)
     point = [0.1, -0.07, 0.05]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 Evaluator = Callable[[Policy], Mapping[str, float]]
 """Scores a policy."""
 
-Tensors = Mapping[str, "Tensor"]
-"""Tensors by name; a slash parts a name from its owner's."""
+NamedTensors = Mapping[str, "Tensor"]
+"""NamedTensors by name; a slash parts a name from its owner's."""
 
 
 class Env(Protocol):
@@ -140,10 +140,10 @@ class Session(Protocol):
     def catch_up(self, step: int) -> Iterable[Line]:
         """Learn what is due before the policy is looked at, at a step; return what to note."""
 
-    def archive(self) -> tuple[Tensors, dict[str, Any]]:
+    def archive(self) -> tuple[NamedTensors, dict[str, Any]]:
         """Return tensors and JSON that `restore` takes back, bit by bit."""
 
-    def restore(self, tensors: Tensors, facts: Mapping[str, Any]) -> None:
+    def restore(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> None:
         """Go on where `archive` was called."""
 
 
@@ -175,10 +175,10 @@ class Algorithm(Protocol):
             folder: The run directory, for files of the algorithm's own.
         """
 
-    def save(self, policy: Any) -> tuple[Tensors, dict[str, Any]]:
+    def save(self, policy: Any) -> tuple[NamedTensors, dict[str, Any]]:
         """Return tensors and JSON from which `load` makes the policy again."""
 
-    def load(self, tensors: Tensors, facts: Mapping[str, Any]) -> Policy:
+    def load(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> Policy:
         """Return the policy that `save` was given; options are those of the file, not one's own."""
 
 

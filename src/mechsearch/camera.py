@@ -114,7 +114,7 @@ def _preset(eye: tuple[float, float, float], up: tuple[float, float, float]) -> 
     return Camera(size, size, focal, focal, centre, centre, look_at(eye, (0, 0, 0), up))
 
 
-PRESETS = {
+VIEWS = {
     "overhead": _preset((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "tilted": _preset((0.0, -0.7, 0.75), (0.0, 0.0, 1.0)),
 }
@@ -129,8 +129,8 @@ def preset(name: str, size: int = 64) -> Camera:
     Raises:
         MechSearchError: If there is no such view.
     """
-    if name not in PRESETS:
-        raise MechSearchError(f"unknown camera {name!r}; choose one of {', '.join(PRESETS)}")
+    if name not in VIEWS:
+        raise MechSearchError(f"unknown camera {name!r}; choose one of {', '.join(VIEWS)}")
     if size < 8:
         raise MechSearchError(f"image size {size} px is too small; expected at least 8")
-    return PRESETS[name].resized(size)
+    return VIEWS[name].resized(size)

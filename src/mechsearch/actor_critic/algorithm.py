@@ -8,7 +8,7 @@ from typing import Any
 from mechsearch.actor_critic.networks import Actor, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.actor_critic.session import ActorCriticConfig, ActorCriticSession
-from mechsearch.algorithm import RunConfig, Tensors, TrainingSetup
+from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import fill
@@ -46,14 +46,14 @@ class ActorCritic(ActorCriticConfig):
         """
         return ActorCriticSession(run, setup)
 
-    def save(self, policy: ActorPolicy) -> tuple[Tensors, dict[str, Any]]:
+    def save(self, policy: ActorPolicy) -> tuple[NamedTensors, dict[str, Any]]:
         """Return an actor's weights, and the shapes and sizes of its network."""
         actor = policy.actor
         # Pairs, since the order of the keys is the order of the heads' features.
         shapes = [[key, list(shape)] for key, shape in actor.shapes.items()]
         return dict(actor.state_dict()), {"shapes": shapes, "network": asdict(actor.config)}
 
-    def load(self, tensors: Tensors, facts: Mapping[str, Any]) -> ActorPolicy:
+    def load(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> ActorPolicy:
         """Return the actor that `save` was given, as a policy."""
         network = record_from_json(NetworkConfig, facts["network"], retired={"bfloat16": False})
         actor = Actor({key: tuple(shape) for key, shape in facts["shapes"]}, network)

@@ -22,7 +22,7 @@ from mechsearch.actor_critic.guidance import Guidance, GuidanceConfig
 from mechsearch.actor_critic.learner import Learner, LearnerConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.actor_critic.replay import Replay
-from mechsearch.algorithm import Env, Line, RunConfig, Tensors, TrainingSetup, at_least
+from mechsearch.algorithm import Env, Line, NamedTensors, RunConfig, TrainingSetup, at_least
 from mechsearch.files.tensors import part, prefixed
 from mechsearch.teachers import PAPER_TEACHERS, check_teacher
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, Array, MechSearchError
@@ -263,7 +263,7 @@ class ActorCriticSession:
             if self.episode is not None:
                 self.episode.add_update(metrics)
 
-    def archive(self) -> tuple[Tensors, dict[str, Any]]:
+    def archive(self) -> tuple[NamedTensors, dict[str, Any]]:
         """Return tensors and facts that `restore` takes back, the running episode included."""
         arrays, episode = self.collector.archive()
         tensors = {
@@ -280,7 +280,7 @@ class ActorCriticSession:
             "episode_log": None if self.episode is None else json.dumps(self.episode.state()),
         }
 
-    def restore(self, tensors: Tensors, facts: Mapping[str, Any]) -> None:
+    def restore(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> None:
         """Go back to where `archive` was called, in the middle of an episode or between two.
 
         Raises:

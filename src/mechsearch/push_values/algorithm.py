@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mechsearch.algorithm import RunConfig, Tensors, TrainingSetup
+from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.files import record_from_json
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
@@ -41,7 +41,7 @@ class PushValues(PushValuesConfig):
         """
         return PushValuesSession(run, setup, folder)
 
-    def save(self, policy: PushPolicy) -> tuple[Tensors, dict[str, Any]]:
+    def save(self, policy: PushPolicy) -> tuple[NamedTensors, dict[str, Any]]:
         """Return the networks' weights, and all that choosing by them needs."""
         return tensors_of(policy.networks), {
             "network": asdict(policy.networks[0].config),
@@ -50,7 +50,7 @@ class PushValues(PushValuesConfig):
             "policy": asdict(policy.config),
         }
 
-    def load(self, tensors: Tensors, facts: Mapping[str, Any]) -> PushPolicy:
+    def load(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> PushPolicy:
         """Return the policy that `save` was given."""
         # Earlier versions kept the cost of an action with the network.
         network = dict(facts["network"])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from mechsearch.algorithm import Line, RunConfig, Tensors, TrainingSetup, at_least
+from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, at_least
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.trial import Rollout, from_start, imageless, roll_out
 from mechsearch.files import record_from_json
@@ -215,7 +215,7 @@ class PushValuesSession:
             **self.counts,
         }
 
-    def archive(self) -> tuple[Tensors, dict[str, Any]]:
+    def archive(self) -> tuple[NamedTensors, dict[str, Any]]:
         """Return tensors and facts that `restore` takes back, between two episodes."""
         return tensors_of(self.policy.networks), {
             "counts": dict(self.counts),
@@ -223,7 +223,7 @@ class PushValuesSession:
             "ahead": asdict(self.policy.continuation),
         }
 
-    def restore(self, tensors: Tensors, facts: Mapping[str, Any]) -> None:
+    def restore(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> None:
         """Go back to where `archive` was called; the episodes until then are read again.
 
         Raises:

@@ -14,7 +14,7 @@ from mechsearch.files.tensors import Archive, kind_of, load_archive, save_archiv
 from mechsearch.training.algorithms import make_algorithm, name_of
 from mechsearch.types import MechSearchError, Observation, Policy
 
-KINDS = {"actor-critic": "mechsearch actor", "push-values": "mechsearch push policy"}
+POLICY_KINDS = {"actor-critic": "mechsearch actor", "push-values": "mechsearch push policy"}
 """What a file says that it is, where that is not the algorithm's own name."""
 
 
@@ -64,7 +64,7 @@ def save_policy(trained: TrainedPolicy, path: Path) -> None:
         "image_size": trained.image_size,
     }
     name = name_of(trained.algorithm)
-    save_archive(path, Archive(KINDS.get(name, name), tensors, {**facts, **known}))
+    save_archive(path, Archive(POLICY_KINDS.get(name, name), tensors, {**facts, **known}))
 
 
 def load_policy(path: Path) -> TrainedPolicy:
@@ -79,7 +79,7 @@ def load_policy(path: Path) -> TrainedPolicy:
     file = path / POLICY_FILE if path.is_dir() else path
     kind = kind_of(file)
     try:
-        algorithm = make_algorithm({v: k for k, v in KINDS.items()}.get(kind, kind))
+        algorithm = make_algorithm({v: k for k, v in POLICY_KINDS.items()}.get(kind, kind))
     except MechSearchError as error:
         raise MechSearchError(
             f"{file} holds a {kind}; expected a trained policy: {error}"

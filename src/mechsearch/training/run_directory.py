@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mechsearch.algorithm import RunConfig, Tensors
+from mechsearch.algorithm import NamedTensors, RunConfig
 from mechsearch.files import differences
 from mechsearch.files.layout import CHECKPOINTS_FOLDER, CONFIG_FILE, POLICIES_FOLDER, POLICY_FILE
 from mechsearch.files.tensors import Archive, load_archive, save_archive
@@ -57,7 +57,7 @@ class RunDirectory:
     def save(
         self,
         step: int,
-        tensors: Tensors,
+        tensors: NamedTensors,
         meta: Mapping[str, Any],
         logged: int,
     ) -> None:
