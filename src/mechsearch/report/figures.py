@@ -200,8 +200,9 @@ def _scores_panel(
     ax: Axes, metric: str, scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str]
 ) -> None:
     scale, row, ticks = display(metric).scale, 0.0, []
+    marks = policy_marks(highlight)
     for name, seeds in scores.items():
-        colour = COLOURS[highlight.index(name) % len(COLOURS)] if name in highlight else GREY
+        colour = marks[name][0] if name in marks else GREY
         ticks.append(row + (len(seeds) - 1) / 2)
         for values in seeds:
             if metric in values:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table
-from mechsearch.report.document import Content, Document, Paragraph, Picture
+from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
 
 # A file's date is not part of what it says, and would change its bytes.
 _DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)
@@ -41,7 +41,7 @@ def to_pdf(document: Document) -> bytes:
     pages.write_text(document.title, 20, bold=True, after=2)
     pages.write_text(document.lead, 11, colour=_SOFT, after=3)
     for section in document.sections:
-        pages.head(section.title, 14, before=5)
+        pages.head(section, 14, before=5)
         for block in section.blocks:
             pages.put(block)
     return bytes(pages.output())
@@ -77,11 +77,13 @@ class _Pages(FPDF):
         else:
             self.put_picture(block)
 
-    def head(self, text: str, size: float, before: float) -> None:
-        """Add a heading, on a new page if nothing would fit below it."""
+    def head(self, section: Section, size: float, before: float) -> None:
+        """Add a heading, on a new page if what comes first would not fit below it."""
         self.ln(before)
-        self.need(_LEAST_HEIGHT)
-        self.write_text(text, size, bold=True, after=1.5)
+        first = section.blocks[0] if section.blocks else None
+        below = self.fitted(first)[1] if isinstance(first, Picture) else 0
+        self.need(_LEAST_HEIGHT + below)
+        self.write_text(section.title, size, bold=True, after=1.5)
 
     def need(self, height: float) -> None:
         """Begin a new page unless so much room is left on this one."""
@@ -104,7 +106,8 @@ class _Pages(FPDF):
 
     def put_table(self, content: Table) -> None:
         """Add a table whose headings come again on every page."""
-        size = 7.5 if content.words or len(content.columns) < 8 else 6.5
+        columns = len(content.columns)
+        size = 7.5 if content.words or columns < 8 else 6.5 if columns < 11 else 6.0
         self.need(_LEAST_HEIGHT)
         if content.caption:
             self.write_text(content.caption, 8.5, bold=content.words, after=1)
@@ -112,7 +115,7 @@ class _Pages(FPDF):
         self.set_text_color(*_INK)
         self.set_draw_color(190, 194, 200)
         self.set_line_width(0.15)
-        align = "LEFT" if content.words else ("LEFT", *["RIGHT"] * (len(content.columns) - 1))
+        align = "LEFT" if content.words else ("LEFT", *["RIGHT"] * (columns - 1))
         with self.table(
             borders_layout=TableBordersLayout.HORIZONTAL_LINES,
             col_widths=tuple(content.widths) or _widths(content),
@@ -137,16 +140,18 @@ class _Pages(FPDF):
         if isinstance(content, str):
             # Who made it and when is none of a drawing's shapes.
             content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL).encode()
-        width, height = _size(picture)
-        room = self.h - 2 * _MARGIN - 16
-        scale = min(self.epw / width, room / height)
-        self.need(height * scale + 8)
-        left = _MARGIN + (self.epw - width * scale) / 2
-        self.image(
-            io.BytesIO(content), x=left, w=width * scale, h=height * scale, alt_text=picture.alt
-        )
+        width, height = self.fitted(picture)
+        self.need(height + 8)
+        left = _MARGIN + (self.epw - width) / 2
+        self.image(io.BytesIO(content), x=left, w=width, h=height, alt_text=picture.alt)
         self.ln(1)
         self.write_text(picture.caption, 8, colour=_SOFT, after=3)
+
+    def fitted(self, picture: Picture) -> tuple[float, float]:
+        """Return width and height at which a picture is printed below a heading."""
+        width, height = _size(picture)
+        scale = min(self.epw / width, (self.h - 2 * _MARGIN - 30) / height)
+        return width * scale, height * scale
 
 
 def _widths(table: Table) -> tuple[float, ...]:
@@ -154,7 +159,7 @@ def _widths(table: Table) -> tuple[float, ...]:
     widths = []
     for i, heading in enumerate(table.columns):
         lines = [line for row in table.rows for line in row[i].split("\n")]
-        words = [1.25 * len(word) for word in heading.split()]
+        words = [1.5 * len(word) for word in heading.split()]
         widths.append(2 + max(*map(len, lines), *words, 4))
     return tuple(widths)
 
