@@ -54,11 +54,11 @@ class PushValues(PushValuesConfig):
         """Return the policy that `save` was given."""
         # Earlier versions kept the cost of an action with the network.
         network = dict(facts["network"])
-        policy = {"idleness": network.pop("idleness", 0.5), **facts["policy"]}
+        own = {"idleness": network.pop("idleness")} if "idleness" in network else {}
         return PushPolicy(
             networks_of(
                 tensors, int(facts["networks"]), record_from_json(PushValueConfig, network)
             ),
             record_from_json(Continuation, facts["ahead"]),
-            record_from_json(PushPolicyConfig, policy),
+            record_from_json(PushPolicyConfig, {**own, **facts["policy"]}),
         )

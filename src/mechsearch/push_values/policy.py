@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import preset
+from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.reward import RewardConfig
 from mechsearch.push_values.value import Continuation, PushValue
 from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
@@ -29,9 +31,9 @@ class PushPolicyConfig:
     """
 
     candidates: int = 96
-    camera: str = "overhead"
-    image_size: int = 64
-    idleness: float = 0.5
+    camera: str = TaskConfig.camera
+    image_size: int = TaskConfig.image_size
+    idleness: float = RewardConfig.idleness
 
     def __post_init__(self) -> None:
         if self.candidates < 1:

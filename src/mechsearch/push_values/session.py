@@ -53,7 +53,7 @@ class PushValuesConfig:
     """
 
     networks: int = 3
-    candidates: int = 96
+    candidates: int = PushPolicyConfig.candidates
     tries: int = 24
     explore: float = 0.1
     ranked: float = 0.5
