@@ -150,10 +150,14 @@ def test_any_algorithm_may_be_a_variant_and_two_of_one_name_may_not():
 
 
 def test_every_run_is_in_the_plan_s_task_and_so_are_generated_heaps():
-    task = TaskConfig(camera="tilted", max_actions=20)
+    task = TaskConfig(max_actions=20)
     plan = replace(SweepPlan(), task=task)
     assert all(plan.config(variant, 1).task == task for variant in plan.variants)
-    assert plan.generated("dual").camera == "tilted"
+    tilted = replace(plan, task=TaskConfig(camera="tilted"), variants=("plus",))
+    assert tilted.config("plus", 0).task == tilted.task
+    assert tilted.generated("dual").camera == "tilted"
+    with pytest.raises(MechSearchError, match="needs the overhead camera"):
+        replace(tilted, variants=("method",))
 
 
 def test_the_quick_plan_is_smaller_in_everything():

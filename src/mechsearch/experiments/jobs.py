@@ -1,6 +1,7 @@
 """What a sweep is cut into: heap sets, training runs and final evaluations."""
 
 import hashlib
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,7 @@ from mechsearch.experiments.folder import SweepFolder, write_curves
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.files import read_content, read_record, write_record
 from mechsearch.files.layout import (
+    CHECKPOINTS_FOLDER,
     CONFIG_FILE,
     FINISHED_FILE,
     INPUTS_FILE,
@@ -255,8 +257,11 @@ class Training(Job):
 
     def carry_out(self) -> None:
         """Train, from the last checkpoint if there is one, and renew the table of curves."""
+        if self.finished:
+            # Its actor was removed. From the last checkpoint there would be nothing left to do.
+            (self.directory / FINISHED_FILE).unlink()
+            shutil.rmtree(self.directory / CHECKPOINTS_FOLDER, ignore_errors=True)
         resume = (self.directory / CONFIG_FILE).exists()
-        (self.directory / FINISHED_FILE).unlink(missing_ok=True)
         train(self.config, self.heaps, self.directory, self.plan.objects, resume)
         done = {
             "actor": _digest(self.directory / POLICY_FILE),
