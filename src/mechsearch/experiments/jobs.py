@@ -234,26 +234,20 @@ class Training(Job):
         Raises:
             MechSearchError: If it does.
         """
-        if not self.directory.exists():
-            return
-        if not (self.directory / CONFIG_FILE).exists():
-            found = {file.name for file in self.directory.iterdir() if file.name[0] != "."}
-            if found - {INPUTS_FILE}:
-                raise MechSearchError(
-                    f"{self.directory} holds {', '.join(sorted(found)[:5])} and no {CONFIG_FILE}: "
-                    "it is no run of this sweep; move it away"
-                )
-            return
-        if load_config(self.directory / CONFIG_FILE) != self.config:
-            raise MechSearchError(
-                f"{self.directory} holds a run of another configuration than this sweep's; move it "
-                "away"
-            )
-        began = read_record(self.directory / INPUTS_FILE, "record of a run's inputs")
-        if self.heaps.exists() and began.get("heap_set") != self.heap_set.hash:
-            raise MechSearchError(
-                f"{self.directory} holds a run on other heaps than this sweep's; move it away"
-            )
+        config, inputs, wrong = self.directory / CONFIG_FILE, self.directory / INPUTS_FILE, ""
+        if not config.exists():
+            files = self.directory.iterdir() if self.directory.exists() else ()
+            found = sorted(file.name for file in files if file.name[0] != ".")
+            if set(found) - {INPUTS_FILE}:
+                wrong = f"holds {', '.join(found[:5])} and no {CONFIG_FILE}: it is no run"
+        elif load_config(config) != self.config:
+            wrong = "holds a run of another configuration than that"
+        elif self.heaps.exists():
+            began = read_record(inputs, "record of a run's inputs")
+            if began.get("heap_set") != self.heap_set.hash:
+                wrong = "holds a run on other heaps than those"
+        if wrong:
+            raise MechSearchError(f"{self.directory} {wrong} of this sweep; move it away")
 
     def carry_out(self) -> None:
         """Train, from the last checkpoint if there is one, and renew the table of curves."""
@@ -346,16 +340,12 @@ class Scoring(Job):
         Raises:
             MechSearchError: Naming the first fact that differs.
         """
-        expected = {
-            "heap_set": self.heap_set.hash,
-            "split": "held-out",
-            "heaps": self.plan.final_heaps,
-            "seed": 0,
-        }
-        if isinstance(run := self.subject, Training):
-            actions = run.finished["training_actions"]
+        run, heap_set = self.subject, self.heap_set.hash
+        expected: dict[str, Any] = {"heap_set": heap_set, "split": "held-out", "seed": 0}
+        expected["heaps"] = self.plan.final_heaps
+        if isinstance(run, Training):
             expected |= {"name": run.config.name, "training_seed": run.seed}
-            expected |= {"training_actions": actions}
+            expected["training_actions"] = run.finished["training_actions"]
         # Earlier versions left no mark.
         expected |= {key: mark for key, mark in self._mark.items() if key in header}
         wrong = [

@@ -11,7 +11,7 @@ from mechsearch.env.heap_env import TaskConfig, differing
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.files import differences, read_record, record_from_json, write_record
-from mechsearch.heaps.dataset import HeapSet, check_objects, load, object_set
+from mechsearch.heaps.dataset import object_set, open_heaps
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
@@ -198,27 +198,21 @@ def _read(folder: SweepFolder) -> dict[str, Any]:
 def _checked(plan: SweepPlan, condition: str) -> str:
     """Return the hash of the heap set that is given, or "generated", if it fits the plan."""
     file = plan.heap_file(condition)
-    if not file:
-        object_set(plan.generated(condition).objects)
-        held_out = plan.generated(condition).heaps // 2
-        _check_sizes(plan, f"the {condition} heaps that are generated", held_out)
-        return "generated"
-    heap_set = load(Path(file))
-    _check_condition(heap_set, condition, file)
-    check_objects(heap_set, object_set(plan.objects or str(heap_set.manifest["config"]["objects"])))
-    _check_sizes(plan, file, len(heap_set.held_out))
-    return heap_set.hash
-
-
-def _check_condition(heap_set: HeapSet, condition: str, file: str) -> None:
-    found = heap_set.manifest["config"]["condition"]
-    if found != condition:
-        raise MechSearchError(f"{file} holds {found} heaps; expected {condition} ones")
-
-
-def _check_sizes(plan: SweepPlan, file: str, held_out: int) -> None:
+    if file:
+        heap_set, _ = open_heaps(Path(file), plan.objects)
+        held_out, found = len(heap_set.held_out), heap_set.hash
+        if heap_set.condition != condition:
+            raise MechSearchError(
+                f"{file} holds {heap_set.condition} heaps; expected {condition} ones"
+            )
+    else:
+        config = plan.generated(condition)
+        object_set(config.objects)
+        held_out, found = config.heaps // 2, "generated"
     for name in ("final_heaps", "curve_heaps"):
         if getattr(plan, name) > held_out:
             raise MechSearchError(
-                f"{name} is {getattr(plan, name)}, but {file} has {held_out} held-out heaps"
+                f"{name} is {getattr(plan, name)}, but {file or 'the set to generate'} has "
+                f"{held_out} held-out heaps"
             )
+    return found

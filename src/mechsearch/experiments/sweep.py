@@ -45,23 +45,19 @@ class ChainRunner:
         """Return why the chain has stopped, if it met what trying again cannot mend; else ""."""
         for job in chain:
             try:
-                self._carry_out(job)
+                if not job.is_done():
+                    self._carry_out(job)
             except MechSearchError as error:
                 return str(error)
+            except Exception as error:
+                self.journal.write(RAISED, job=job.name, reason=f"{type(error).__name__}: {error}")
+                raise
         return ""
 
     def _carry_out(self, job: Job) -> None:
-        if job.is_done():
-            return
         self.journal.write(BEGAN, job=job.name)
         began = time.monotonic()
-        try:
-            job.carry_out()
-        except MechSearchError:
-            raise
-        except Exception as error:
-            self.journal.write(RAISED, job=job.name, reason=f"{type(error).__name__}: {error}")
-            raise
+        job.carry_out()
         self.journal.write(ENDED, job=job.name, seconds=round(time.monotonic() - began, 1))
 
 
