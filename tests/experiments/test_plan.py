@@ -4,11 +4,12 @@ import pytest
 
 pytest.importorskip("torch")
 
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, Journal, Past
+from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, History, Journal, status
 from mechsearch.experiments.plan import QUICK, VARIANTS, SweepPlan, open_plan, read_plan
 from mechsearch.experiments.schedule import chains_of, next_wave
-from mechsearch.experiments.status import status
+from mechsearch.files import read_record, write_record
 from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
 
@@ -85,8 +86,8 @@ def test_what_failed_is_not_waited_for_for_ever():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"variants": ("best",)}, "unknown variant 'best'; choose among method, ddpg"),
-        ({"curve_grasps": ("best",)}, "unknown variant 'best'; choose among method, ddpg"),
+        ({"variants": ("best",)}, "unknown variant 'best'; choose one of method, ddpg"),
+        ({"curve_grasps": ("best",)}, "unknown variant 'best'; choose one of method, ddpg"),
         ({"conditions": ("triple",)}, "unknown condition 'triple'"),
         ({"references": ("idle", "idle")}, "a reference is named twice"),
         ({"seeds": (1, 1)}, r"seeds are \(1, 1\)"),
@@ -127,6 +128,38 @@ def test_a_plan_is_read_as_it_was_written_and_heaps_may_move(tiny, tmp_path):
     open_plan(replace(tiny, heaps_single=str(copy)), folder)
 
 
+def test_a_plan_of_an_earlier_version_is_of_the_paper_s_task_without_graspability(tiny, tmp_path):
+    folder = SweepFolder(tmp_path)
+    plan = replace(tiny, curve_grasps=())
+    open_plan(plan, folder)
+    found = read_record(folder.plan, "plan of a sweep")
+    earlier = {k: v for k, v in found.items() if k not in ("task", "curve_grasps")}
+    write_record(folder.plan, "plan of a sweep", earlier)
+    assert read_plan(folder) == plan
+    assert plan.task == TaskConfig()
+    open_plan(plan, folder)
+
+
+def test_any_algorithm_may_be_a_variant_and_two_of_one_name_may_not():
+    own = "mechsearch.push_values.algorithm:PushValues"
+    plan = replace(SweepPlan(), variants=("debug", "actor-critic", own))
+    found = [plan.config(variant, 0).name for variant in plan.variants]
+    assert found == ["debug", "actor-critic", "PushValues"]
+    with pytest.raises(MechSearchError, match="a variant is named twice in PushValues, PushV"):
+        replace(plan, variants=(own, own))
+
+
+def test_every_run_is_in_the_plan_s_task_and_so_are_generated_heaps():
+    task = TaskConfig(max_actions=20)
+    plan = replace(SweepPlan(), task=task)
+    assert all(plan.config(variant, 1).task == task for variant in plan.variants)
+    tilted = replace(plan, task=TaskConfig(camera="tilted"), variants=("plus",))
+    assert tilted.config("plus", 0).task == tilted.task
+    assert tilted.generated("dual").camera == "tilted"
+    with pytest.raises(MechSearchError, match="needs the overhead camera"):
+        replace(tilted, variants=("method",))
+
+
 def test_the_quick_plan_is_smaller_in_everything():
     paper = SweepPlan()
     for name in ("actions", "curve_heaps", "final_heaps"):
@@ -142,7 +175,7 @@ def test_a_torn_line_of_the_journal_is_left_out(tmp_path):
         file.write('{"event": "began", "jo')
     journal.begin(2)
     journal.write(BEGAN, job="b")
-    past = Past.of(journal.records())
+    past = History.of(journal.records())
     assert (list(past.running), past.workers) == (["b"], 2)
 
 
@@ -154,9 +187,9 @@ def test_the_time_left_follows_the_pace_of_the_finished_jobs(tiny, tmp_path):
         {"event": BEGAN, "job": jobs[0].name},
         {"event": ENDED, "job": jobs[0].name, "seconds": 3600.0},
     ]
-    found = status(jobs, {jobs[0].name}, {}, Past.of(records))
+    found = status(jobs, {jobs[0].name}, {}, History.of(records))
     assert found.hours_left == pytest.approx(1.0)
     records.append({"event": FAILED, "job": jobs[1].name, "reason": "worker died"})
-    found = status(jobs, {jobs[0].name}, {}, Past.of(records))
+    found = status(jobs, {jobs[0].name}, {}, History.of(records))
     assert found.hours_left == pytest.approx(0.5)
     assert found.line == "1 of 3 jobs done; 1 failed; about 0.5 hours left"

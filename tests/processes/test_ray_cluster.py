@@ -21,7 +21,6 @@ import ray
 from mechsearch.cli import main
 from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
-from mechsearch.experiments.sweep import run_all
 from mechsearch.heaps.dataset import load_heaps, save_heaps
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.processes.ray_cluster import connected, ray_map
@@ -149,20 +148,6 @@ def test_the_commands_take_ray_and_relative_paths(tmp_path, monkeypatch, capsys)
     main(["evaluate", "idle", "--heaps", "ray.parquet", "--out", "scores", "--ray", "--brief"])
     assert "left out" not in capsys.readouterr().out
     assert Path("scores/idle.npz").exists()
-
-
-def test_one_failing_run_does_not_stop_the_others(tmp_path):
-    told = []
-    runs = run_all(
-        Square(tmp_path, "raise", 2, times=9),
-        range(4),
-        2,
-        lambda *words: told.append(words),
-        ray_map,
-    )
-    assert [runs[i] for i in (0, 1, 3)] == [0, 1, 9]
-    assert runs[2].reason == "worker raised: ValueError: 2 is unlucky"
-    assert told[-1] == ("runs", 4, 4)
 
 
 def test_other_versions_on_a_machine_are_refused(monkeypatch, tmp_path):

@@ -10,10 +10,14 @@ _METAVARS = {int: "INT", float: "FLOAT", str: "STR", bool: "{True,False}"}
 
 
 @cache
-def optional(kind: type[Any]) -> type[Any]:
+def optional(kind: type[Any], flat: tuple[str, ...] = ()) -> type[Any]:
     """Return a dataclass like another, nested ones included, whose values are None by default.
 
     Its docstrings are the other's, and so are the options that it makes on a command line.
+
+    Args:
+        kind: The other.
+        flat: Names of nested ones whose options do not begin with their name.
     """
     hints = get_type_hints(kind)
     made: list[tuple[str, Any, Any]] = []
@@ -21,7 +25,8 @@ def optional(kind: type[Any]) -> type[Any]:
         hint: Any = hints[entry.name]
         if isinstance(hint, type) and is_dataclass(hint):
             nested = optional(hint)
-            made.append((entry.name, nested, nested()))
+            name = "" if entry.name in flat else None
+            made.append((entry.name, Annotated[nested, tyro.conf.arg(name=name)], nested()))
         else:
             shown = tyro.conf.arg(help_behavior_hint="", metavar=_METAVARS.get(hint))
             made.append((entry.name, Annotated[hint | None, shown], None))

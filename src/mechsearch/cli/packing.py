@@ -78,5 +78,5 @@ class Pack(Command):
 
 def _simulated(run: Path) -> int:
     """Return how many actions a run tried beside those that it executed."""
-    lines = list(read_lines(run / METRICS_FILE)) if (run / METRICS_FILE).exists() else []
+    lines = list(read_lines(run / METRICS_FILE))
     return max((int(line.get("simulated", 0)) for line in lines), default=0)

@@ -1,7 +1,21 @@
-"""Where everything of a sweep is kept."""
+"""Where everything of a sweep is kept, and the table of its learning curves."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+
+from mechsearch.files import locked, write_text
+from mechsearch.files.layout import (
+    CURVES_FILE,
+    EVALUATIONS_FOLDER,
+    JOURNAL_FILE,
+    PLAN_FILE,
+    RUNS_FOLDER,
+    SUMMARY_FILE,
+)
+from mechsearch.findings.runs import EVALUATIONS, curve_rows, read_run
+
+_COLUMNS = ("condition", "variant", "seed", "step", "metric", "mean", "ci_low", "ci_high", "heaps")
 
 
 @dataclass(frozen=True)
@@ -18,31 +32,45 @@ class SweepFolder:
     @property
     def plan(self) -> Path:
         """What is to be carried out."""
-        return self.path / "sweep.json"
+        return self.path / PLAN_FILE
 
     @property
     def journal(self) -> Path:
         """Which jobs began and ended when."""
-        return self.path / "jobs.jsonl"
+        return self.path / JOURNAL_FILE
 
     @property
     def summary(self) -> Path:
         """Scores of all finished evaluations."""
-        return self.path / "summary.csv"
+        return self.path / SUMMARY_FILE
 
     @property
     def curves(self) -> Path:
         """Learning curves of all finished runs."""
-        return self.path / "curves.csv"
+        return self.path / CURVES_FILE
 
     def heaps(self, condition: str) -> Path:
         """Return where a heap set is generated, if none was given."""
         return self.path / condition / "heaps.parquet"
 
-    def run(self, condition: str, variant: str, seed: int) -> Path:
-        """Return a run directory."""
-        return self.path / condition / "runs" / f"{variant}-seed{seed}"
+    def run(self, condition: str, title: str) -> Path:
+        """Return the directory of a run, such as "method-seed0"."""
+        return self.path / condition / RUNS_FOLDER / title
 
     def evaluations(self, condition: str) -> Path:
         """Return the folder of a condition's recorded episodes."""
-        return self.path / condition / "evaluations"
+        return self.path / condition / EVALUATIONS_FOLDER
+
+
+def write_curves(path: Path, runs: Iterable[Path]) -> None:
+    """Write the points of all curves on held-out heaps; several processes may do so at once.
+
+    Args:
+        path: The table (.csv).
+        runs: Directories of the runs that are over; asked for once nobody else is at the table.
+    """
+    with locked(path):
+        points = (p for run in runs for p in curve_rows(run.parent.parent.name, [read_run(run)]))
+        rows = [(*p[:3], *p[4:]) for p in points if p[3] == EVALUATIONS["held_out"]]
+        rows.sort(key=lambda row: (row[0], row[1], int(row[2]), int(row[3]), row[4]))
+        write_text(path, "".join(",".join(row) + "\n" for row in (_COLUMNS, *rows)))

@@ -1,21 +1,17 @@
 """Which experiments to carry out (paper, section V), as data, and the file that keeps them."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig
+from mechsearch.env.heap_env import TaskConfig, differing
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.files import (
-    read_record,
-    record_from_json,
-    write_record,
-)
-from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
+from mechsearch.files import differences, read_record, record_from_json, write_record
+from mechsearch.heaps.dataset import object_set, open_heaps
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
@@ -25,6 +21,8 @@ from mechsearch.types import MechSearchError
 
 VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
 REFERENCES = ("random", "idle", *(f"teacher-{name}" for name in PAPER_TEACHERS), LOOK_AHEAD)
+
+_PURPOSE = "plan of a sweep"
 
 
 def _check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
@@ -42,21 +40,24 @@ class SweepPlan:
     Attributes:
         experiment: First column of the summary.
         objects: Object set; empty takes the one that the heap sets name, or "household".
-        heaps_single: Heap set file of the single condition; empty generates one.
+        heaps_single: Heap set file (.parquet) of the single condition; empty generates one.
         heaps_dual: Likewise of the dual condition.
         generate_single: Single heaps to generate where no file is given.
         generate_dual: Dual heaps likewise.
         conditions: "single", "dual" or both.
-        variants: What is trained.
+        variants: What is trained: method, ddpg, no-teachers, no-asymmetry, no-pose-input, plus, an
+            algorithm by itself, or package.module:factory.
         seeds: Of the training runs of each variant.
         actions: Executed in each run.
-        references: Policies that are not trained.
+        references: Policies that are not trained: random, idle, the teachers, look-ahead.
         curve_heaps: Held-out heaps that curves are drawn on, the same for all runs.
         curve_every: Actions between two points of a curve; `actions` of `plus` are a multiple.
         curve_grasps: Variants whose curves have graspability too, where `grasps` are measured.
         final_heaps: Held-out heaps of the final scores, the same for all policies.
         grasps: Whether final episodes are also measured by graspability and retrieval.
-        grasp_network: File of the grasp network to do it with; empty takes the shipped one.
+        grasp_network: File of the grasp network (.safetensors or .npz) to do it with; empty takes
+            the shipped one.
+        task: What is learnt, and what all policies are scored in.
     """
 
     experiment: str = "paper"
@@ -76,11 +77,13 @@ class SweepPlan:
     final_heaps: int = 300
     grasps: bool = True
     grasp_network: str = ""
+    task: TaskConfig = field(default_factory=TaskConfig)
 
     def __post_init__(self) -> None:
         _check_names("condition", self.conditions, tuple(CONDITIONS))
-        _check_names("variant", self.variants, VARIANTS)
-        _check_names("variant", self.curve_grasps, VARIANTS)
+        for variants in (self.variants, self.curve_grasps):
+            names = [run_config(variant).name for variant in variants]
+            _check_names("variant", names, names)
         _check_names("reference", self.references, (*policy_names(), LOOK_AHEAD))
         if not self.conditions:
             raise MechSearchError(f"no condition is named; choose among {', '.join(CONDITIONS)}")
@@ -101,7 +104,8 @@ class SweepPlan:
     def generated(self, condition: str) -> GenerateConfig:
         """Return what to generate where no heap set is given."""
         number = self.generate_single if condition == "single" else self.generate_dual
-        return GenerateConfig(condition, number, self.objects or "household")
+        objects = self.objects or "household"
+        return GenerateConfig(condition, number, objects, camera=self.task.camera)
 
     def config(self, variant: str, seed: int) -> RunConfig[Any]:
         """Return the configuration of one run."""
@@ -117,7 +121,7 @@ class SweepPlan:
             held_out_heaps=self.curve_heaps,
             grasp_network=(self.grasp_network or SHIPPED_NETWORK) if grasped else "",
         )
-        return replace(config, seed=seed, schedule=schedule)
+        return replace(config, seed=seed, task=self.task, schedule=schedule)
 
 
 QUICK = SweepPlan(
@@ -143,7 +147,8 @@ def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
         MechSearchError: If the folder is of another plan, naming what differs, or of no sweep; or
             if heaps and objects do not fit the plan.
     """
-    found = _described(plan, {c: _checked(plan, c) for c in plan.conditions})
+    heap_sets = {condition: _checked(plan, condition) for condition in plan.conditions}
+    facts = {"heap_sets": heap_sets, "version": version("mechsearch")}
     if not folder.plan.exists():
         others = [file.name for file in folder.path.iterdir() if not file.name.startswith(".")]
         if others:
@@ -151,74 +156,63 @@ def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
                 f"{folder.path} holds {', '.join(sorted(others)[:5])} and no {folder.plan.name}; "
                 "name a new folder"
             )
-        write_record(folder.plan, "plan of a sweep", found)
+        write_record(folder.plan, _PURPOSE, asdict(plan) | facts)
         return
     kept = _read(folder)
-    names = [name for name in {**kept, **found} if kept.get(name) != found.get(name)]
+    found = differences(read_plan(folder), plan)
     # The heap sets are compared by their content, wherever they lie.
-    names = [name for name in names if not name.startswith("heaps_")]
-    if names:
-        told = [f"{n} was {kept.get(n)!r} and is {found.get(n)!r}" for n in names]
+    found = [difference for difference in found if not difference[0].startswith("heaps_")]
+    found += [(name, kept.get(name), now) for name, now in facts.items() if kept.get(name) != now]
+    if found:
+        told = [f"{name} was {was!r} and is {now!r}" for name, was, now in found]
         raise MechSearchError(f"{folder.path} holds a sweep of another plan: {'; '.join(told)}")
 
 
 def read_plan(folder: SweepFolder) -> SweepPlan:
-    """Return the plan of a sweep.
+    """Return the plan of a sweep, of this version or of an earlier one.
 
     Raises:
         MechSearchError: If there is none, or it is damaged.
     """
     known = {field.name for field in fields(SweepPlan)}
-    return record_from_json(
-        SweepPlan, {name: value for name, value in _read(folder).items() if name in known}
-    )
+    # Earlier versions rated no grasps in curves, and knew one task.
+    found = {"curve_grasps": [], **_read(folder)}
+    return record_from_json(SweepPlan, {name: found[name] for name in known & found.keys()})
 
 
 def described(plan: SweepPlan) -> Sequence[tuple[str, str]]:
     """Return the plan in words: name and value of each choice that is made."""
-    values = [(field.name.replace("_", " "), getattr(plan, field.name)) for field in fields(plan)]
-    return [(name, _text(value)) for name, value in values if value not in ("", ())]
-
-
-def _text(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    changed = differing(TaskConfig(), plan.task)
+    values = {f.name: getattr(plan, f.name) for f in fields(plan)} | {"task": changed}
+    return [
+        (name.replace("_", " "), ", ".join(map(str, v)) if isinstance(v, tuple) else str(v))
+        for name, v in values.items()
+        if v not in ("", ())
+    ]
 
 
 def _read(folder: SweepFolder) -> dict[str, Any]:
-    return read_record(folder.plan, "plan of a sweep", ("experiment", "version"))
-
-
-def _described(plan: SweepPlan, heap_sets: dict[str, str]) -> dict[str, Any]:
-    content = {**asdict(plan), "heap_sets": heap_sets, "version": version("mechsearch")}
-    # As it will be read back: lists for tuples.
-    plain: dict[str, Any] = json.loads(json.dumps(content))
-    return plain
+    return read_record(folder.plan, _PURPOSE, ("experiment", "version"))
 
 
 def _checked(plan: SweepPlan, condition: str) -> str:
     """Return the hash of the heap set that is given, or "generated", if it fits the plan."""
     file = plan.heap_file(condition)
-    if not file:
-        object_set(plan.generated(condition).objects)
-        held_out = plan.generated(condition).heaps // 2
-        _check_sizes(plan, f"the {condition} heaps that are generated", held_out)
-        return "generated"
-    heap_set = load_heaps(Path(file))
-    _check_condition(heap_set, condition, file)
-    check_objects(heap_set, object_set(plan.objects or str(heap_set.manifest["config"]["objects"])))
-    _check_sizes(plan, file, len(heap_set.held_out))
-    return heap_set.hash
-
-
-def _check_condition(heap_set: HeapSet, condition: str, file: str) -> None:
-    found = heap_set.manifest["config"]["condition"]
-    if found != condition:
-        raise MechSearchError(f"{file} holds {found} heaps; expected {condition} ones")
-
-
-def _check_sizes(plan: SweepPlan, file: str, held_out: int) -> None:
+    if file:
+        heap_set, _ = open_heaps(Path(file), plan.objects)
+        held_out, found = len(heap_set.held_out), heap_set.hash
+        if heap_set.condition != condition:
+            raise MechSearchError(
+                f"{file} holds {heap_set.condition} heaps; expected {condition} ones"
+            )
+    else:
+        config = plan.generated(condition)
+        object_set(config.objects)
+        held_out, found = config.heaps // 2, "generated"
     for name in ("final_heaps", "curve_heaps"):
         if getattr(plan, name) > held_out:
             raise MechSearchError(
-                f"{name} is {getattr(plan, name)}, but {file} has {held_out} held-out heaps"
+                f"{name} is {getattr(plan, name)}, but {file or 'the set to generate'} has "
+                f"{held_out} held-out heaps"
             )
+    return found

@@ -2,41 +2,41 @@
 
 import fnmatch
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from itertools import product
 
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.job import Job
+from mechsearch.experiments.jobs import GraspAssessor, HeapGeneration, Job, Scoring, Training
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.experiments.preparation import Heaps
-from mechsearch.experiments.trials import Grasp, ReferenceScoring, RunScoring, Training
 from mechsearch.types import MechSearchError
 
 Chain = tuple[Job, ...]
 """Jobs that are carried out one after another by the same worker."""
 
 
-def chains_of(plan: SweepPlan, folder: SweepFolder, grasp: Grasp | None = None) -> list[Chain]:
+def chains_of(
+    plan: SweepPlan, folder: SweepFolder, grasp: GraspAssessor | None = None
+) -> list[Chain]:
     """Return all jobs of a plan, a run and its evaluation in one chain.
 
     What others need comes first. Runs come seed by seed, so that a sweep that is cut off has
     compared all variants on some seeds, rather than some variants on all seeds.
     """
-    chains: list[Chain] = []
-    for condition in plan.conditions:
-        if not plan.heap_file(condition):
-            chains.append((Heaps(plan, folder, condition),))
-    for condition in plan.conditions:
-        for policy in plan.references:
-            chains.append((ReferenceScoring(plan, folder, condition, grasp, policy),))
-    for seed in plan.seeds:
-        for variant in plan.variants:
-            for condition in plan.conditions:
-                run = Training(plan, folder, condition, variant, seed)
-                chains.append((run, RunScoring(plan, folder, condition, grasp, run)))
+    chains: list[Chain] = [
+        (HeapGeneration(plan, folder, condition),)
+        for condition in plan.conditions
+        if not plan.heap_file(condition)
+    ]
+    for condition, policy in product(plan.conditions, plan.references):
+        chains.append((Scoring(plan, folder, condition, policy, grasp),))
+    for seed, variant, condition in product(plan.seeds, plan.variants, plan.conditions):
+        run = Training(plan, folder, condition, variant, seed)
+        chains.append((run, Scoring(plan, folder, condition, run, grasp)))
     return chains
 
 
 def chosen(chains: Sequence[Chain], only: Sequence[str]) -> list[Chain]:
-    """Return the chains with those of their jobs alone that are wanted.
+    """Return the chains with those of their jobs alone that are wanted, if need be again.
 
     Args:
         chains: All, in their order.
@@ -57,7 +57,9 @@ def chosen(chains: Sequence[Chain], only: Sequence[str]) -> list[Chain]:
                 f"{names[0]!r} to {names[-1]!r}"
             )
         wanted |= set(found)
-    kept = (tuple(job for job in chain if job.name in wanted) for chain in chains)
+    kept = (
+        tuple(replace(job, again=True) for job in chain if job.name in wanted) for chain in chains
+    )
     return [chain for chain in kept if chain]
 
 

@@ -1,6 +1,8 @@
 """JSON that this package reads back: checked records, lines, and frozen dataclasses."""
 
+import io
 import json
+import lzma
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -22,6 +24,9 @@ RECORD = 1
 
 CHECK_MARK = '"check"'
 """What tells a line of JSON with a checksum from one that an earlier version wrote."""
+
+PACKED_SUFFIX = ".xz"
+"""What `xz` adds to the name of a file that it packs."""
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -129,30 +134,46 @@ def record_of(line: str) -> dict[str, Any]:
     return record
 
 
+def read_content(path: Path) -> bytes | None:
+    """Return what is in a file, or in what `xz` made of it where that is all that is left.
+
+    Returns:
+        None if there is neither `path` nor `path` with `.xz` behind.
+
+    Raises:
+        MechSearchError: If the packed file is damaged.
+    """
+    if path.exists():
+        return path.read_bytes()
+    packed = path.with_name(path.name + PACKED_SUFFIX)
+    try:
+        return lzma.decompress(packed.read_bytes()) if packed.exists() else None
+    except lzma.LZMAError as error:
+        raise MechSearchError(f"{packed} is damaged: {error}") from None
+
+
 def read_lines(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the records of a file of JSON lines; a last line that a kill has torn is left out.
 
-    Earlier versions wrote no checksums; a file has them in all of its lines or in none.
+    Earlier versions wrote no checksums; a file has them in all of its lines or in none. It may be
+    packed, see `read_content`; without a file there are no records.
 
     Raises:
         MechSearchError: If another line is damaged.
     """
-    if not path.exists():
-        return
     checked: bool | None = None
-    with path.open("rb") as file:
-        for number, raw in enumerate(file, start=1):
-            if not raw.endswith(b"\n"):
-                return
-            try:
-                line = raw.decode("utf-8")
-                record = record_of(line)
-                if checked not in (None, CHECK_MARK in line):
-                    raise ValueError("its checksum is missing, or too many")
-            except ValueError as error:
-                raise MechSearchError(f"line {number} of {path} is damaged: {error}") from None
-            checked = CHECK_MARK in line
-            yield record
+    for number, raw in enumerate(io.BytesIO(read_content(path) or b""), start=1):
+        if not raw.endswith(b"\n"):
+            return
+        try:
+            line = raw.decode("utf-8")
+            record = record_of(line)
+            if checked not in (None, CHECK_MARK in line):
+                raise ValueError("its checksum is missing, or too many")
+        except ValueError as error:
+            raise MechSearchError(f"line {number} of {path} is damaged: {error}") from None
+        checked = CHECK_MARK in line
+        yield record
 
 
 def differences(one: object, other: object, prefix: str = "") -> list[tuple[str, Any, Any]]:

@@ -29,6 +29,8 @@ LISTED_FIRST = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pos
 PASSIVE = ("idle", "random")
 TEACHER_PREFIX = "teacher-"
 CEILING = "look-ahead"
+_LOG = f"{METRICS_FILE}*"
+"""As it is, or packed."""
 Item = TypeVar("Item")
 
 
@@ -178,7 +180,9 @@ class Experiment:
             for condition in self.conditions.values()
             for one in condition.scored
         }
-        runs = [f"{v}-seed{s}" for v in plan.get("variants", ()) for s in plan.get("seeds", ())]
+        # An algorithm that is named `package.module:factory` is reported as `factory`.
+        variants = [str(variant).rpartition(":")[2] for variant in plan.get("variants", ())]
+        runs = [f"{v}-seed{s}" for v in variants for s in plan.get("seeds", ())]
         expected = {
             (str(condition), str(name))
             for condition in plan.get("conditions", ())
@@ -252,7 +256,7 @@ def _planned(folder: Path) -> Condition:
     runs_folder = folder / RUNS_FOLDER
     directories = sorted(runs_folder.iterdir()) if runs_folder.is_dir() else []
     # A run that has just begun has no log yet.
-    runs = [_named_run(path) for path in directories if (path / METRICS_FILE).exists()]
+    runs = [_named_run(path) for path in directories if any(path.glob(_LOG))]
     return _condition(folder.name, _longest(scored), runs)
 
 
@@ -265,14 +269,14 @@ def _loose(sources: Sequence[Path]) -> Experiment:
         raise MechSearchError(
             f"no evaluation (.npz) under {', '.join(map(str, sources)) or 'nothing'}"
         )
-    logs = dict.fromkeys(log for source in sources for log in sorted(source.rglob(METRICS_FILE)))
+    logged = (log.parent for source in sources for log in sorted(source.rglob(_LOG)))
     runs: dict[str, list[Run]] = {name: [] for name in groups}
-    for log in logs:
-        run = read_run(log.parent)
+    for directory in dict.fromkeys(logged):
+        run = read_run(directory)
         places = {name for name, g in groups.items() if g[0].header["heap_set"] == run.heap_set}
         if not places and len(groups) > 1:
             raise MechSearchError(
-                f"{log.parent} does not say that it learnt from the heaps of one of the conditions "
+                f"{directory} does not say that it learnt from the heaps of one of the conditions "
                 f"{', '.join(groups)}; report it with the evaluations of its own condition alone"
             )
         runs[next(iter(places or groups))].append(run)

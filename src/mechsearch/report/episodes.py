@@ -70,16 +70,17 @@ def ranked_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> 
     """Yield start and end of every policy on three heaps: the first that learnt ranks them.
 
     Args:
-        condition: Whose policies are shown, the first seed of each.
+        condition: Whose policies are shown, of each the first seed that has its episodes.
         models: Objects by name.
     """
     chooser = condition.policies[condition.subjects[0]][0]
     heaps = ranked_heaps(chooser.heaps, chooser.values["reward"])
     config = FilmConfig(size=_PAIR, captions=False)
-    for name, (scored, *_) in condition.policies.items():
-        if not scored.path.exists():
+    for name, seeds in condition.policies.items():
+        files = [scored.path for scored in seeds if scored.path.exists()]
+        if not files:
             continue
-        records = {record.heap_seed: record for record in load_episodes(scored.path).episodes}
+        records = {record.heap_seed: record for record in load_episodes(files[0]).episodes}
         shown = {rank: records[heap] for rank, heap in heaps.items() if heap in records}
         pairs = [start_and_end(Film(record, models, config)) for record in shown.values()]
         caption = "; ".join(
