@@ -5,8 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
-from mechsearch.files import locked, read_lines, write_whole
-from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE
+from mechsearch.files import CONFIG_FILE, METRICS_FILE, locked, read_lines, write_whole
 from mechsearch.training.config import load_config
 
 COLUMNS = (

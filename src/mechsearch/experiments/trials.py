@@ -17,13 +17,14 @@ from mechsearch.experiments.curves import write_curves
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.files import read_record, write_record
-from mechsearch.files.layout import (
+from mechsearch.files import (
     CONFIG_FILE,
     FINISHED_FILE,
     INPUTS_FILE,
     METRICS_FILE,
     POLICY_FILE,
+    read_record,
+    write_record,
 )
 from mechsearch.training.config import load_config
 from mechsearch.training.policies import load_policy

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from mechsearch.files.layout import cache_folder
+from mechsearch.files import cache_folder
 from mechsearch.objects.folder import load_folder
 from mechsearch.objects.household.object_set import household
 from mechsearch.objects.model import ObjectSet

@@ -12,7 +12,7 @@ from mechsearch.objects.meshes.mesh_file import SUFFIXES
 from mechsearch.objects.meshes.prepare import Source
 from mechsearch.objects.model import ObjectSet
 from mechsearch.objects.ycb.download import SCAN
-from mechsearch.processes.progress import bars
+from mechsearch.processes import bars
 from mechsearch.types import MechSearchError
 
 _LAYOUTS = (

@@ -6,8 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig, Tensors
-from mechsearch.files import differences
-from mechsearch.files.layout import CHECKPOINTS_FOLDER, CONFIG_FILE, POLICIES_FOLDER, POLICY_FILE
+from mechsearch.files import (
+    CHECKPOINTS_FOLDER,
+    CONFIG_FILE,
+    POLICIES_FOLDER,
+    POLICY_FILE,
+    differences,
+)
 from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.training.config import load_config, save_config
 from mechsearch.training.policies import TrainedPolicy, save_policy

@@ -12,15 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from mechsearch.objects.household.containers import CONTAINERS
-from mechsearch.objects.household.fruit import FRUIT
+from mechsearch.objects.household.items import items
 from mechsearch.objects.household.primitives import Solids
-from mechsearch.objects.household.tools import TOOLS
-from mechsearch.objects.household.toys import TOYS
 from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, ObjectSet, content_hash
 from mechsearch.types import Floats
-
-ITEMS = (*CONTAINERS, *FRUIT, *TOOLS, *TOYS)
 
 _DECIMALS = 6  # A micrometre, so that the last bits of a sine change no digest.
 _INERTIA_DECIMALS = 12
@@ -30,8 +25,8 @@ _INERTIA_DECIMALS = 12
 def household() -> ObjectSet:
     """Return the default set: 56 objects of the household, none left out of heaps."""
     models = {
-        item.name: union_of(item.name, item.category, item.grams / 1000, item.shape())
-        for item in ITEMS
+        name: union_of(name, category, grams / 1000, solids)
+        for name, category, grams, solids in items()
     }
     return ObjectSet("household", models, {})
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.files import read_arrays, write_whole
-from mechsearch.files.layout import cache_folder
+from mechsearch.files import cache_folder, read_arrays, write_whole
 from mechsearch.objects.meshes import convex, hull, prepare
 from mechsearch.objects.meshes.mesh_file import source_files
 from mechsearch.objects.meshes.prepare import Prepared, Source

@@ -17,8 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import DTypeLike
 
-from mechsearch.files import read_arrays, write_whole
-from mechsearch.files.layout import cache_folder
+from mechsearch.files import cache_folder, read_arrays, write_whole
 from mechsearch.objects.meshes import convex, hull
 from mechsearch.objects.meshes.convex import ConvexParts
 from mechsearch.types import MechSearchError
