@@ -5,12 +5,10 @@ from mechsearch.files.fingerprint import crossed, fingerprint, mixed
 from mechsearch.files.layout import (
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
-    CURVES_FILE,
     EVALUATIONS_FOLDER,
     EVENTS_FOLDER,
     FINISHED_FILE,
     INPUTS_FILE,
-    JOURNAL_FILE,
     METRICS_FILE,
     PLAN_FILE,
     POLICIES_FOLDER,
@@ -18,12 +16,10 @@ from mechsearch.files.layout import (
     RUNS_FOLDER,
     SCORES_SUFFIX,
     SPEED_FILE,
-    SUMMARY_FILE,
     cache_folder,
 )
 from mechsearch.files.records import (
     CHECK_MARK,
-    RECORD,
     append_line,
     differences,
     line_of,

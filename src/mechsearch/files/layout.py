@@ -1,4 +1,4 @@
-"""Every file name of a run directory and of a sweep's folder, once, and the user's cache folder."""
+"""File names of run directories and sweeps that several rooms know, and the user's cache folder."""
 
 import os
 from pathlib import Path
@@ -28,9 +28,6 @@ FINISHED_FILE = "finished.json"
 """Written last into the directory of a run that is over."""
 
 PLAN_FILE = "sweep.json"
-JOURNAL_FILE = "jobs.jsonl"
-SUMMARY_FILE = "summary.csv"
-CURVES_FILE = "curves.csv"
 RUNS_FOLDER = "runs"
 EVALUATIONS_FOLDER = "evaluations"
 

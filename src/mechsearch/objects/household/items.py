@@ -286,12 +286,12 @@ def _tools() -> Iterator[Item]:
 
     # Adjustable, with its jaws as good as closed.
     bar = [(-0.100, -0.010), (-0.090, -0.013), (0.050, -0.009), (0.050, 0.009), (-0.090, 0.013)]
-    head = [(0.042, -0.018), (0.056, -0.030), (0.072, -0.028), (0.074, 0.018), (0.050, 0.020)]
+    jaw = [(0.042, -0.018), (0.056, -0.030), (0.072, -0.028), (0.074, 0.018), (0.050, 0.020)]
     fixed = [(0.068, -0.029), (0.100, -0.016), (0.105, -0.006), (0.072, -0.006)]
     sliding = [(0.068, 0.009), (0.098, 0.009), (0.092, 0.020), (0.070, 0.025)]
     wrench = (
         prism([*bar, (-0.100, 0.010)], 0.009).moved(z=-0.0045).painted(steel),
-        prism(head, 0.014).moved(z=-0.007).painted(steel),
+        prism(jaw, 0.014).moved(z=-0.007).painted(steel),
         prism(fixed, 0.012).moved(z=-0.006).painted(plain("90949a")),
         prism(sliding, 0.012).moved(z=-0.006).painted(plain("90949a")),
         cylinder(0.012, 0.016, 8, 1).moved(0.058, 0.010, -0.008).painted(dark),
@@ -301,8 +301,8 @@ def _tools() -> Iterator[Item]:
     face = layers(BRASS, (panel("z", (-0.012, 0.012), (-0.026, -0.012)), DARK))
     half = [(-0.016, 0.004), (-0.016, 0.016), (-0.009, 0.027)]
     shackle = tube([*half, *((-x, y) for x, y in half[::-1])], [0.008] * 6, [0.008] * 6)
-    body = box(0.047, 0.038, 0.024).moved(y=-0.014).painted(face)
-    padlock = fitted([body, *_painted(shackle, plain("c9ccd1"))], 0.047, 0.065, 0.024)
+    case = box(0.047, 0.038, 0.024).moved(y=-0.014).painted(face)
+    padlock = fitted([case, *_painted(shackle, plain("c9ccd1"))], 0.047, 0.065, 0.024)
     yield "padlock", "tool", 208, padlock
 
     yield "large_marker", "tool", 15.8, _felt_pen(0.018, 0.121, "1b1b1e")
