@@ -21,7 +21,7 @@ from mechsearch.files.layout import (
 from mechsearch.files.records import (
     CHECK_MARK,
     append_line,
-    differences,
+    differing_fields,
     line_of,
     read_json,
     read_lines,

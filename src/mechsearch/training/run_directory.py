@@ -11,7 +11,7 @@ from mechsearch.files import (
     CONFIG_FILE,
     POLICIES_FOLDER,
     POLICY_FILE,
-    differences,
+    differing_fields,
 )
 from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.training.config import load_config, save_config
@@ -103,7 +103,7 @@ def _load(path: Path) -> Archive:
 
 def _check_same(stored: RunConfig[Any], given: RunConfig[Any], path: Path) -> None:
     longer = replace(stored.schedule, actions=given.schedule.actions)
-    differing = differences(replace(stored, schedule=longer), given)
+    differing = differing_fields(replace(stored, schedule=longer), given)
     if differing:
         name, before, now = differing[0]
         raise MechSearchError(

@@ -33,18 +33,18 @@ from mechsearch.objects.household.primitives import (
 )
 from mechsearch.types import Floats
 
-Item = tuple[str, str, float, Solids]
+HouseholdItem = tuple[str, str, float, Solids]
 """Name, category, mass [g] and convex solids of one object."""
 
 TIN = "b9bcc0"
-WHITE = "f4f1ea"
+CREAM = "f4f1ea"
 STALK = "5b3d1e"
 STEEL = "a9adb3"
 DARK = "2b2d31"
 BRASS = "c9a24a"
 
 
-def items() -> Iterator[Item]:
+def items() -> Iterator[HouseholdItem]:
     """Yield every object of the set, in its order."""
     yield from _containers()
     yield from _fruit()
@@ -52,7 +52,7 @@ def items() -> Iterator[Item]:
     yield from _toys()
 
 
-def _containers() -> Iterator[Item]:
+def _containers() -> Iterator[HouseholdItem]:
     yield "coffee_can", "can", 414, _can(0.102, 0.139, "1d3f72", "c8952b", "f4f1ea")
     yield "soup_can", "can", 349, _can(0.066, 0.101, "c4161c", "f4f1ea", "c9a227")
     yield "tuna_can", "can", 171, _can(0.085, 0.033, "1f6f8b", "f4f1ea", "e4572e")
@@ -67,7 +67,7 @@ def _containers() -> Iterator[Item]:
     # A squeeze bottle with an oval body and a pointed spout.
     yellow, red, oval = plain("f0b41c"), plain("e0301e"), 0.050 / 0.085
     mark = window(-90, 120, 0.030, 0.090), "8c1d18"
-    label = layers("f0b41c", mark, (window(-90, 76, 0.052, 0.070), WHITE))
+    label = layers("f0b41c", mark, (window(-90, 76, 0.052, 0.070), CREAM))
     mustard = (
         frustum(0.078, 0.085, 0.105, bands=12).painted(label).scaled(y=oval),
         frustum(0.085, 0.036, 0.030).painted(yellow).scaled(y=oval).moved(z=0.105),
@@ -77,9 +77,9 @@ def _containers() -> Iterator[Item]:
     yield "mustard_bottle", "bottle", 603, mustard
 
     # One with an oval body, a neck to one side and a grip with an opening.
-    white, blue, oval = plain(WHITE), plain("1c5fa8"), 0.065 / 0.098
+    white, blue, oval = plain(CREAM), plain("1c5fa8"), 0.065 / 0.098
     mark = window(-90, 130, 0.025, 0.120), "1c5fa8"
-    label = layers(WHITE, mark, (window(-90, 90, 0.060, 0.095), "f0c419"))
+    label = layers(CREAM, mark, (window(-90, 90, 0.060, 0.095), "f0c419"))
     path = [(0.030, 0.128), (0.040, 0.165), (0.028, 0.196), (-0.006, 0.208)]
     grip = tube(path, [0.024, 0.020, 0.020, 0.022], [0.034, 0.024, 0.024, 0.030])
     bleach = (
@@ -153,7 +153,7 @@ def _loaf_can(x: float, y: float, z: float) -> Solids:
     paint = layers(
         "1f4e9c",
         (band("z", 0.25 * z, 0.55 * z), "f2c230"),
-        (panel("y", (-0.34 * x, 0.34 * x), (0.62 * z, 0.84 * z)), WHITE),
+        (panel("y", (-0.34 * x, 0.34 * x), (0.62 * z, 0.84 * z)), CREAM),
         (band("z", -1.0, 0.04 * z), TIN),
         (band("z", 0.96 * z, 1.0), TIN),
     )
@@ -173,7 +173,7 @@ def _carton(x: float, y: float, z: float, ground: str, field: str, mark: str) ->
         ground,
         (panel(thin, (-0.38 * width, 0.38 * width), (-0.36 * z, 0.08 * z)), field),
         (spot(thin, 0, -0.14 * z, 0.15 * min(width, z)), mark),
-        (panel(thin, (-0.38 * width, 0.38 * width), (0.2 * z, 0.36 * z)), WHITE),
+        (panel(thin, (-0.38 * width, 0.38 * width), (0.2 * z, 0.36 * z)), CREAM),
         (panel(broad, (-1, 1), (-0.3 * z, -0.1 * z)), field),
         (panel("z", (-0.2 * x, 0.2 * x), (-0.36 * y, 0.36 * y)), field),
     )
@@ -187,7 +187,7 @@ def _cup(diameter: float, height: float, colour: str) -> Solids:
     return _painted((*sides, cylinder(2 * foot - wall, 0.004, 8, 1)), plain(colour))
 
 
-def _fruit() -> Iterator[Item]:
+def _fruit() -> Iterator[HouseholdItem]:
     path = [(-0.095, 0.034), (-0.074, 0.018), (-0.032, 0.0)]
     path += [(0.020, 0.0), (0.066, 0.016), (0.088, 0.036)]
     widths = [0.010, 0.026, 0.036, 0.037, 0.030, 0.012]
@@ -238,7 +238,7 @@ def _round(x: float, y: float, z: float, paint: Paint, stalk: float = 0.0) -> So
     return (body, stem.moved(z=z / 2 - 0.004))
 
 
-def _tools() -> Iterator[Item]:
+def _tools() -> Iterator[HouseholdItem]:
     steel, dark = plain(STEEL), plain(DARK)
     # Of all cutlery, along x from -0.100 to 0.024 m, two pieces arched upwards.
     path = [(-0.100, 0.004), (-0.050, 0.007), (0.024, 0.003)]
@@ -348,7 +348,7 @@ def _felt_pen(diameter: float, length: float, colour: str) -> Solids:
     return cylinder(diameter, 0.68 * length, 10).painted(barrel), cap.moved(z=0.68 * length)
 
 
-def _toys() -> Iterator[Item]:
+def _toys() -> Iterator[HouseholdItem]:
     yield "soccer_ball", "ball", 123, _ball(0.140, "f4f4f0", (dots(12, 0.93), "1d1f24"))
     yield "softball", "ball", 191, _ball(0.096, "d7e33f", (seam(0.05), "b3261e"))
     yield "baseball", "ball", 138, _ball(0.075, "f3efe6", (seam(0.06), "b3261e"))
@@ -369,7 +369,7 @@ def _toys() -> Iterator[Item]:
     yield "sponge", "block", 6.2, (box(0.072, 0.114, 0.014).painted(rough),)
 
     hand = panel("z", (-0.002, 0.002), (0.0, 0.020)), "d9362b"
-    dial = layers(WHITE, hand, (spot("z", 0.0, 0.0, 0.006), "d9362b"))
+    dial = layers(CREAM, hand, (spot("z", 0.0, 0.0, 0.006), "d9362b"))
     timer = (
         box(0.085, 0.080, 0.028, 1).painted(plain("2f6f73")).moved(z=0.014),
         frustum(0.056, 0.046, 0.012).painted(dial).moved(z=0.028),

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from mechsearch.objects.household.items import items
 from mechsearch.objects.household.primitives import Solids
-from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, ObjectSet, content_hash
+from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, ObjectSet
 from mechsearch.types import Floats
 
 _DECIMALS = 6  # A micrometre, so that the last bits of a sine change no digest.
@@ -52,25 +52,19 @@ def union_of(name: str, category: str, mass: float, solids: Solids) -> ObjectMod
     centre = volumes @ centres / volumes.sum()
     second = density * moments.sum(axis=0) - mass * np.outer(centre, centre)
     inertia = np.round(np.trace(second) * np.eye(3) - second, _INERTIA_DECIMALS)
-    vertices = _rounded(np.concatenate([solid.vertices for solid in solids]) - centre)
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
-    faces = np.concatenate(
-        [solid.faces + start for solid, start in zip(solids, starts, strict=True)], dtype=np.int32
-    )
-    texels = _shared_grid([solid.texels for solid in solids])
-    parts = tuple(_rounded(solid.hull - centre) for solid in solids)
+    faces = [solid.faces + start for solid, start in zip(solids, starts, strict=True)]
     return ObjectModel(
-        name=name,
-        category=category,
-        vertices=vertices,
-        faces=faces,
-        texels=texels,
-        parts=parts,
-        mass=mass,
-        inertia=inertia,
-        friction=FRICTION,
-        hull_error=max(hausdorff(solid.vertices, solid.hull) for solid in solids),
-        content_hash=content_hash(name, vertices, faces, texels, parts, mass, inertia, FRICTION),
+        name,
+        category,
+        _rounded(np.concatenate([solid.vertices for solid in solids]) - centre),
+        np.concatenate(faces, dtype=np.int32),
+        _shared_grid([solid.texels for solid in solids]),
+        tuple(_rounded(solid.hull - centre) for solid in solids),
+        mass,
+        inertia,
+        FRICTION,
+        max(hausdorff(solid.vertices, solid.hull) for solid in solids),
     )
 
 
