@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import DTypeLike
 from scipy.spatial import QhullError
 
 from mechsearch.files import cache_folder, read_arrays, write_whole
@@ -158,11 +157,16 @@ def parts_of(file: Path, mesh: trimesh.Trimesh, simple: trimesh.Trimesh) -> Conv
     """
     key = parts_key(file)
     kept = cache_folder() / "parts" / f"{key}.npz"
-    found = known_parts().get(key) or (_read(kept).get(key) if kept.exists() else None)
+    found = known_parts().get(key)
+    if found is None and kept.exists():
+        try:
+            found = read_table(kept).get(key)
+        except MechSearchError as error:
+            warnings.warn(f"{error}; the mesh is decomposed again", stacklevel=2)
     if found is None:
         found = convex_parts(mesh, simple)
         if not found.remark:
-            write_table(kept, {key: found}, np.float64)
+            write_table(kept, {key: found})
     return found
 
 
@@ -170,15 +174,6 @@ def parts_of(file: Path, mesh: trimesh.Trimesh, simple: trimesh.Trimesh) -> Conv
 def known_parts() -> Mapping[str, ConvexParts]:
     """Return the convex parts of the official YCB scans, by `parts_key`."""
     return read_table(KNOWN)
-
-
-def _read(kept: Path) -> Mapping[str, ConvexParts]:
-    """Return a kept table; a damaged one is named, and empty."""
-    try:
-        return read_table(kept)
-    except MechSearchError as error:
-        warnings.warn(f"{error}; the mesh is decomposed again", stacklevel=2)
-        return {}
 
 
 def read_table(path: Path) -> Mapping[str, ConvexParts]:
@@ -201,16 +196,14 @@ def read_table(path: Path) -> Mapping[str, ConvexParts]:
         raise MechSearchError(f"{path} is damaged or no table of convex parts: {error}") from None
 
 
-def write_table(
-    path: Path, found: Mapping[str, ConvexParts], precision: DTypeLike = np.float32
-) -> None:
-    """Write a table of convex parts, by `parts_key`, with points of some precision."""
+def write_table(path: Path, found: Mapping[str, ConvexParts]) -> None:
+    """Write a table of convex parts, by `parts_key`."""
     parts = [part for one in found.values() for part in one.parts]
     arrays = {
         "keys": np.array(list(found)),
         "counts": np.array([len(one.parts) for one in found.values()]),
         "errors": np.array([one.error for one in found.values()]),
         "sizes": np.array([len(part) for part in parts]),
-        "points": np.concatenate(parts).astype(precision),
+        "points": np.concatenate(parts),
     }
     write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))

@@ -216,17 +216,11 @@ def _possible(body: MassProperties, mesh: trimesh.Trimesh) -> bool:
     return within and moments[0] > 0 and moments[0] + moments[1] >= moments[2]
 
 
-def sides(points: Floats) -> Floats:
-    """Return the sides (3,) [m] of the smallest box about points (N, 3), longest first."""
-    _, extents = _oriented_bounds(points)
-    return np.sort(extents)[::-1]
-
-
 def why_wrong_size(name: str, points: Floats) -> str:
     """Return why a mesh (N, 3) [m] is too large, too small or not rigid, or an empty string."""
     if name in DEFORMABLE:
         return DEFORMABLE[name]
-    longest, second, third = sides(points)
+    longest, second, third = np.sort(_oriented_bounds(points)[1])[::-1]
     measured = f"{longest:.3g} x {second:.3g} x {third:.3g} m"
     if longest > LONGEST or second > SECOND_LONGEST or longest * second * third > LARGEST_BOX:
         hint = "; are its units metres?" if longest > 2 else ""
