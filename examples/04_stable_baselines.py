@@ -22,8 +22,7 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, Encoder, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.files import write_json
-from mechsearch.files.layout import POLICY_FILE
+from mechsearch.files import POLICY_FILE, write_json
 from mechsearch.training.policies import save_policy, trained
 
 ALGORITHMS = {"ddpg": DDPG, "td3": TD3, "sac": SAC}

@@ -19,9 +19,9 @@ from mechsearch.files import read_json
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
-from mechsearch.objects.folder import read_masses
+from mechsearch.objects.catalog import read_masses
 from mechsearch.objects.meshes.cache import model_from_npz
-from mechsearch.objects.meshes.mesh_file import read_pieces
+from mechsearch.objects.meshes.prepare import read_pieces
 from mechsearch.push_values.session import load_episode
 from mechsearch.training.config import load_config
 from mechsearch.training.policies import load_policy

@@ -4,7 +4,7 @@ import pytest
 
 from mechsearch.evaluation.metrics import METRICS
 from mechsearch.experiments.folder import write_curves
-from mechsearch.files.layout import CONFIG_FILE
+from mechsearch.files import CONFIG_FILE
 from mechsearch.training.config import run_config, save_config
 from mechsearch.training.log import RunLog
 

@@ -35,8 +35,7 @@ from mechsearch.experiments.journal import (
 )
 from mechsearch.experiments.plan import open_plan, read_plan
 from mechsearch.experiments.sweep import carry_out
-from mechsearch.files import locked, read_record, write_record
-from mechsearch.files.layout import SCORES_SUFFIX
+from mechsearch.files import SCORES_SUFFIX, locked, read_record, write_record
 from mechsearch.findings.experiment import read_experiment
 from mechsearch.findings.scores import load_scores, save_scores
 from mechsearch.processes import map_in_order

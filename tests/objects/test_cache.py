@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mechsearch.files.layout import cache_folder
+from mechsearch.files import cache_folder
 from mechsearch.objects.meshes import cache, convex, prepare
 from mechsearch.objects.meshes.cache import (
     cache_key,

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.objects.catalog import load_object_set
-from mechsearch.objects.folder import find_meshes, load_folder, read_masses, ycb_masses
+from mechsearch.objects.catalog import (
+    find_meshes,
+    load_folder,
+    load_object_set,
+    read_masses,
+    ycb_masses,
+)
 from mechsearch.objects.meshes import convex
 from mechsearch.objects.ycb.download import SCAN
 from mechsearch.types import MechSearchError
@@ -99,7 +104,7 @@ def test_a_script_without_a_main_guard_is_told_what_it_needs(folder, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "from pathlib import Path\n"
-        "from mechsearch.objects.folder import load_folder\n"
+        "from mechsearch.objects.catalog import load_folder\n"
         f"load_folder(Path({str(folder)!r}), workers=2)\n"
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)

@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.objects.meshes import convex, known_parts
+from mechsearch.objects.meshes import convex
 from mechsearch.objects.meshes.convex import ConvexParts
 from mechsearch.objects.meshes.hull import hull_error
-from mechsearch.objects.meshes.mesh_file import merge_pieces, read_pieces
+from mechsearch.objects.meshes.prepare import merge_pieces, read_pieces
 
 YCB = Path(__file__).parents[2].parent / "shared" / "ycb"
 NAMES = ("024_bowl", "011_banana", "073-b_lego_duplo")
@@ -17,7 +17,7 @@ def test_the_parts_of_a_ycb_scan_are_known_and_as_close_to_it_as_they_say(name):
     mesh = YCB / name / "google_16k" / "textured.obj"
     if not mesh.is_file():
         pytest.skip(f"no YCB objects at {YCB.name}")
-    known = known_parts.known_parts()[known_parts.parts_key(mesh)]
+    known = convex.known_parts()[convex.parts_key(mesh)]
     assert 1 <= len(known.parts) <= convex.MOST_PARTS
     measured = hull_error(merge_pieces(read_pieces(mesh)), list(known.parts))
     assert measured == pytest.approx(known.error, abs=5e-4)
@@ -26,18 +26,18 @@ def test_the_parts_of_a_ycb_scan_are_known_and_as_close_to_it_as_they_say(name):
 def test_a_mesh_that_differs_in_one_byte_is_unknown(tmp_path):
     mesh = tmp_path / "textured.obj"
     mesh.write_text("v 0 0 0\n")
-    first = known_parts.parts_key(mesh)
-    assert first not in known_parts.known_parts()
+    first = convex.parts_key(mesh)
+    assert first not in convex.known_parts()
     mesh.write_text("v 0 0 1\n")
-    assert known_parts.parts_key(mesh) != first
+    assert convex.parts_key(mesh) != first
 
 
 def test_other_settings_of_the_decomposition_need_other_parts(tmp_path, monkeypatch):
     mesh = tmp_path / "textured.obj"
     mesh.write_text("v 0 0 0\n")
-    before = known_parts.parts_key(mesh)
+    before = convex.parts_key(mesh)
     monkeypatch.setattr(convex, "THRESHOLD", 0.05)
-    assert known_parts.parts_key(mesh) != before
+    assert convex.parts_key(mesh) != before
 
 
 def test_a_table_holds_what_was_written(tmp_path, monkeypatch):
@@ -47,9 +47,9 @@ def test_a_table_holds_what_was_written(tmp_path, monkeypatch):
         "a": ConvexParts((clouds[0],), 0.001, ""),
         "b": ConvexParts((clouds[1], clouds[2]), 0.002, ""),
     }
-    known_parts.write_table(tmp_path / known_parts.FILE, found)
-    monkeypatch.setattr(known_parts.resources, "files", lambda package: tmp_path)
-    table = known_parts.known_parts.__wrapped__()
+    convex.write_table(tmp_path / "parts.npz", found)
+    monkeypatch.setattr(convex, "KNOWN", tmp_path / "parts.npz")
+    table = convex.known_parts.__wrapped__()
     assert {key: one.error for key, one in table.items()} == {"a": 0.001, "b": 0.002}
     for key, one in found.items():
         for part, expected in zip(table[key].parts, one.parts, strict=True):

@@ -37,7 +37,7 @@ from mechsearch.objects.household.primitives import (
     stack,
     tube,
 )
-from mechsearch.objects.model import TEXEL_ROWS, content_hash, texel_weights
+from mechsearch.objects.model import TEXEL_ROWS, ObjectModel, texel_weights
 from mechsearch.types import MechSearchError
 
 SOLIDS = {
@@ -208,6 +208,10 @@ def test_one_colour_needs_one_texel():
     red, half = plain("ff0000"), layers("ff0000", (band("z", 0.1, 1), "0000ff"))
     assert union_of("a", "x", 1.0, [box(1, 1, 1).painted(red)]).texels.shape[1] == 1
     assert union_of("a", "x", 1.0, [box(1, 1, 1).painted(half)]).texels.shape[1] == 21
+
+
+def content_hash(**fields):
+    return ObjectModel(category="", hull_error=0.0, **fields).content_hash
 
 
 ARGUMENTS = {

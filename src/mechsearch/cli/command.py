@@ -13,7 +13,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.heaps.dataset import object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import PROCESSORS, Mapper, map_in_order
-from mechsearch.processes.progress import bars as bars
+from mechsearch.processes import bars as bars
 from mechsearch.types import MechSearchError
 
 WORKERS = PROCESSORS

@@ -10,7 +10,7 @@ from mechsearch.cli.heaps import describe
 from mechsearch.cli.reporting import Report
 from mechsearch.cli.training import Train
 from mechsearch.evaluation.policies import policy_names
-from mechsearch.files.layout import CONFIG_FILE
+from mechsearch.files import CONFIG_FILE
 from mechsearch.heaps.dataset import load_heaps
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.training.config import run_config

@@ -12,8 +12,15 @@ from mechsearch.cli.command import Command, wrote
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.summary import rows_of
-from mechsearch.files import check_place, read_lines, read_record, write_json
-from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE, METRICS_FILE
+from mechsearch.files import (
+    CONFIG_FILE,
+    INPUTS_FILE,
+    METRICS_FILE,
+    check_place,
+    read_lines,
+    read_record,
+    write_json,
+)
 from mechsearch.training.policies import load_policy, save_policy
 from mechsearch.types import MechSearchError
 

@@ -9,7 +9,7 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.verify import replay_all
-from mechsearch.files.fingerprint import crossed, fingerprint
+from mechsearch.files import crossed, fingerprint
 from mechsearch.types import MechSearchError
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from mechsearch.entry_point import is_entry_point, load_entry_point
 from mechsearch.env.heap_env import TaskConfig, task_from_json
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
-from mechsearch.files import read_json, read_record
-from mechsearch.files.layout import CONFIG_FILE
+from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.observe.observation import IMAGE_KEYS
 from mechsearch.teachers import TEACHERS, make_teacher
 from mechsearch.types import MechSearchError, Observation, Policy

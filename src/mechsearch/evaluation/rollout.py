@@ -24,7 +24,7 @@ from mechsearch.evaluation.policies import (
     run_config,
     task_of,
 )
-from mechsearch.files.fingerprint import fingerprint
+from mechsearch.files import fingerprint
 from mechsearch.heaps.dataset import HeapSet, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent

@@ -4,14 +4,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from mechsearch.files import locked, write_text
-from mechsearch.files.layout import (
+from mechsearch.files import (
     CURVES_FILE,
     EVALUATIONS_FOLDER,
     JOURNAL_FILE,
     PLAN_FILE,
     RUNS_FOLDER,
     SUMMARY_FILE,
+    locked,
+    write_text,
 )
 from mechsearch.findings.runs import EVALUATIONS, curve_rows, read_run
 

@@ -18,8 +18,7 @@ from mechsearch.evaluation.policies import LOOK_AHEAD
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name
 from mechsearch.experiments.folder import SweepFolder, write_curves
 from mechsearch.experiments.plan import SweepPlan
-from mechsearch.files import read_content, read_record, write_record
-from mechsearch.files.layout import (
+from mechsearch.files import (
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
     FINISHED_FILE,
@@ -27,6 +26,9 @@ from mechsearch.files.layout import (
     METRICS_FILE,
     POLICY_FILE,
     SCORES_SUFFIX,
+    read_content,
+    read_record,
+    write_record,
 )
 from mechsearch.findings.scores import compact, episode_files, load_scores, scores_file
 from mechsearch.heaps.dataset import HeapSet, load_heaps

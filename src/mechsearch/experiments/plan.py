@@ -10,7 +10,7 @@ from mechsearch.algorithm import RunConfig
 from mechsearch.env.heap_env import TaskConfig, differing
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.files import differences, read_record, record_from_json, write_record
+from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.heaps.dataset import object_set, open_heaps
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
@@ -159,7 +159,7 @@ def open_plan(plan: SweepPlan, folder: SweepFolder) -> None:
         write_record(folder.plan, _PURPOSE, asdict(plan) | facts)
         return
     kept = _read(folder)
-    found = differences(read_plan(folder), plan)
+    found = differing_fields(read_plan(folder), plan)
     # The heap sets are compared by their content, wherever they lie.
     found = [difference for difference in found if not difference[0].startswith("heaps_")]
     found += [(name, kept.get(name), now) for name, now in facts.items() if kept.get(name) != now]

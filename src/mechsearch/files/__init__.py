@@ -1,11 +1,30 @@
 """How anything is written and read: whole, locked, checked; tensors have a module of their own."""
 
 from mechsearch.files.arrays import ARRAY_DAMAGE, read_arrays
+from mechsearch.files.fingerprint import crossed, fingerprint, mixed
+from mechsearch.files.layout import (
+    CHECKPOINTS_FOLDER,
+    CONFIG_FILE,
+    CURVES_FILE,
+    EVALUATIONS_FOLDER,
+    EVENTS_FOLDER,
+    FINISHED_FILE,
+    INPUTS_FILE,
+    JOURNAL_FILE,
+    METRICS_FILE,
+    PLAN_FILE,
+    POLICIES_FOLDER,
+    POLICY_FILE,
+    RUNS_FOLDER,
+    SCORES_SUFFIX,
+    SPEED_FILE,
+    SUMMARY_FILE,
+    cache_folder,
+)
 from mechsearch.files.records import (
     CHECK_MARK,
-    RECORD,
     append_line,
-    differences,
+    differing_fields,
     line_of,
     read_content,
     read_json,
@@ -27,30 +46,3 @@ from mechsearch.files.whole import (
     write_text,
     write_whole,
 )
-
-__all__ = [
-    "ARRAY_DAMAGE",
-    "CHECK_MARK",
-    "RECORD",
-    "REFUSALS",
-    "NotWrittenError",
-    "alone",
-    "append_line",
-    "check_place",
-    "differences",
-    "line_of",
-    "locked",
-    "naming",
-    "not_written",
-    "read_arrays",
-    "read_content",
-    "read_json",
-    "read_lines",
-    "read_record",
-    "record_from_json",
-    "record_of",
-    "write_json",
-    "write_record",
-    "write_text",
-    "write_whole",
-]

@@ -1,4 +1,4 @@
-"""Every file name of a run directory and of a sweep's folder, once, and the user's cache folder."""
+"""File names of run directories and sweeps that several rooms know, and the user's cache folder."""
 
 import os
 from pathlib import Path

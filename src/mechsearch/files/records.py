@@ -176,7 +176,7 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
         yield record
 
 
-def differences(one: object, other: object, prefix: str = "") -> list[tuple[str, Any, Any]]:
+def differing_fields(one: object, other: object, prefix: str = "") -> list[tuple[str, Any, Any]]:
     """Return name, value and other value of each field in which two dataclasses differ.
 
     Of nested ones of the same kind the fields are compared, under names such as "reward.movement".
@@ -189,7 +189,7 @@ def differences(one: object, other: object, prefix: str = "") -> list[tuple[str,
             getattr(other, field.name),
         )
         if is_dataclass(before) and type(before) is type(now):
-            found += differences(before, now, f"{name}.")
+            found += differing_fields(before, now, f"{name}.")
         elif before != now:
             found.append((name, before, now))
     return found

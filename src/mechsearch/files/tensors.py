@@ -35,14 +35,6 @@ class Archive:
     tensors: Mapping[str, Tensor]
     meta: Mapping[str, Any]
 
-    def part(self, prefix: str) -> dict[str, Tensor]:
-        """Return the tensors whose names begin with `prefix` and a slash, without it."""
-        return part(self.tensors, prefix)
-
-    def fill(self, module: nn.Module) -> None:
-        """Load all tensors into a module; see `fill`."""
-        fill(module, self.tensors)
-
 
 def prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return tensors under names that `part` finds again."""
@@ -133,7 +125,12 @@ def load_archive(path: Path, kind: str) -> Archive:
         MechSearchError: If the file is missing, damaged or of another kind or format.
     """
     header, tensors = _read(path, kind)
-    meta = _verified(header, tensors, f"the {kind} at {path}")
+    what = f"the {kind} at {path}"
+    meta = _meta(header, what)
+    checks = meta.pop("checks")
+    for name, tensor in tensors.items():
+        if checks.get(name) != _checksum(tensor):
+            raise MechSearchError(f"{what} is damaged: {name!r} has another checksum")
     found = (meta.pop("kind"), meta.pop("format"))
     if found != (kind, ARCHIVE_FORMAT):
         raise MechSearchError(
@@ -157,17 +154,6 @@ def _read(path: Path, kind: str, whole: bool = True) -> tuple[dict[str, str], di
 
 def _checksum(tensor: Tensor) -> int:
     return crc32(tensor.detach().reshape(-1).view(torch.uint8).numpy().data)
-
-
-def _verified(
-    header: Mapping[str, str], tensors: Mapping[str, Tensor], what: str
-) -> dict[str, Any]:
-    meta = _meta(header, what)
-    checks = meta.pop("checks")
-    for name, tensor in tensors.items():
-        if checks.get(name) != _checksum(tensor):
-            raise MechSearchError(f"{what} is damaged: {name!r} has another checksum")
-    return meta
 
 
 def _meta(header: Mapping[str, str], what: str) -> dict[str, Any]:

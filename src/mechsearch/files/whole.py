@@ -4,10 +4,10 @@ import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from filelock import BaseFileLock, FileLock, Timeout
+from filelock import FileLock, Timeout
 
 from mechsearch.types import MechSearchError
 
@@ -90,11 +90,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write text, whole or not at all."""
-
-    def write(partial: Path) -> None:
-        partial.write_text(text, encoding="utf-8")
-
-    write_whole(path, write)
+    write_whole(path, lambda partial: partial.write_text(text, encoding="utf-8"))
 
 
 @contextmanager
@@ -114,19 +110,12 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
     lock = FileLock(path.with_name(f".{path.name}.lock"))
     with naming(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        held = _acquired(lock, wait)
+        with suppress(Timeout):
+            lock.acquire(timeout=-1 if wait else 0)
     try:
-        yield held
+        yield lock.is_locked
     finally:
         lock.release()
-
-
-def _acquired(lock: BaseFileLock, wait: bool) -> bool:
-    try:
-        lock.acquire(timeout=-1 if wait else 0)
-    except Timeout:
-        return False
-    return True
 
 
 @contextmanager

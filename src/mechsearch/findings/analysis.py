@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, share_interval
-from mechsearch.files.fingerprint import mixed
+from mechsearch.files import mixed
 from mechsearch.findings.claims import GOALS, PAPER, Ruling, claim_rows, rule
 from mechsearch.findings.comparisons import Comparison, compare_with_others
 from mechsearch.findings.experiment import Condition, Experiment

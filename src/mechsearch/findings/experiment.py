@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mechsearch.evaluation.metrics import METRICS, SHARES, Estimate, share_interval
-from mechsearch.files import read_record
-from mechsearch.files.layout import (
+from mechsearch.files import (
     CONFIG_FILE,
     EVALUATIONS_FOLDER,
     METRICS_FILE,
     PLAN_FILE,
     RUNS_FOLDER,
+    read_record,
 )
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.findings.runs import EVALUATIONS, Run, read_run

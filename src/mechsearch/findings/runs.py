@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, mean_interval
-from mechsearch.files import read_lines, read_record
-from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE, METRICS_FILE
+from mechsearch.files import CONFIG_FILE, INPUTS_FILE, METRICS_FILE, read_lines, read_record
 from mechsearch.types import Floats, MechSearchError
 
 EVALUATIONS = {"held_out": "held-out heaps", "validation": "validation heaps"}

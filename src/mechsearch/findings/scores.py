@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from mechsearch.evaluation.episodes import load_episodes
 from mechsearch.evaluation.metrics import measure
-from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
-from mechsearch.files.layout import SCORES_SUFFIX
+from mechsearch.files import ARRAY_DAMAGE, SCORES_SUFFIX, read_arrays, write_whole
 from mechsearch.findings.failure_modes import EPISODE_MODES, EpisodeMode, mode_of
 from mechsearch.types import Array, Floats, MechSearchError
 

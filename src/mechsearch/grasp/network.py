@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from mechsearch.files import read_arrays
-from mechsearch.files.tensors import Archive, load_archive, save_archive
+from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
 from mechsearch.grasp.image_grasp import ANGLES
 from mechsearch.types import Array, MechSearchError
 
@@ -100,7 +100,7 @@ def load_network(path: Path | None = None) -> GraspNetwork:
         return _from_release(path)
     archive = load_archive(path, _KIND)
     network = GraspNetwork()
-    archive.fill(network)
+    fill(network, archive.tensors)
     return ready(network)
 
 

@@ -1,11 +1,11 @@
 """One rigid object, ready for physics and rendering, its identity, and sets of them."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mechsearch.types import Array, Floats
 
@@ -38,8 +38,8 @@ class ObjectModel:
         inertia: About the origin (3, 3) [kg m^2].
         friction: Sliding coefficient.
         hull_error: Largest distance between mesh and convex parts [m].
-        content_hash: SHA-256 of what the object is made from: its arrays, or the files and settings
-            of its preparation.
+        content_hash: SHA-256 (64 hexadecimal digits) of what the object is made from: the files and
+            settings of its preparation or, by default, its arrays.
     """
 
     name: str
@@ -52,7 +52,30 @@ class ObjectModel:
     inertia: Floats
     friction: float
     hull_error: float
-    content_hash: str
+    content_hash: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.content_hash:
+            object.__setattr__(self, "content_hash", self._digest())
+
+    def _digest(self) -> str:
+        """Return a digest that is the same on every machine for equal objects.
+
+        Every array is hashed with its shape in a fixed type and byte order, and -0 as 0, so that no
+        two different lists of arrays look alike.
+        """
+        digest = hashlib.sha256(f"{self.name!r}".encode())
+        arrays: list[Array] = [
+            np.asarray(self.vertices, "<f8"),
+            np.asarray(self.faces, "<i4"),
+            np.asarray(self.texels, "u1"),
+            *(np.asarray(value, "<f8") for value in (self.mass, self.inertia, self.friction)),
+            *(np.asarray(part, "<f8") for part in self.parts),
+        ]
+        for array in arrays:
+            digest.update(f"{array.dtype.str}{array.shape}".encode())
+            digest.update((array + array.dtype.type(0)).tobytes())
+        return digest.hexdigest()
 
     @property
     def radius(self) -> float:
@@ -100,44 +123,3 @@ def texel_weights(rows: int, inset: float) -> Floats:
     cells = [(i, j) for i in range(rows) for j in range(rows - i)]
     second, third = (np.array(cells, np.float64).T + inset) / rows
     return np.stack([1 - second - third, second, third], axis=1)
-
-
-def content_hash(
-    name: str,
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    texels: ArrayLike,
-    parts: Iterable[ArrayLike],
-    mass: float,
-    inertia: ArrayLike,
-    friction: float,
-) -> str:
-    """Return a SHA-256 digest (64 hexadecimal digits) of one object.
-
-    Every array is hashed with its shape in a fixed type and byte order, and -0 as 0, so equal
-    objects have equal digests on every machine, and no two different lists of arrays look alike.
-
-    Args:
-        name: Of the object.
-        vertices: Visual mesh (V, 3) [m].
-        faces: Triangles (F, 3), vertex indices.
-        texels: Colours (F, T, 3) uint8.
-        parts: Convex parts, each (P, 3) [m].
-        mass: [kg].
-        inertia: About the origin (3, 3) [kg m^2].
-        friction: Sliding coefficient.
-    """
-    digest = hashlib.sha256(f"{name!r}".encode())
-    arrays: list[Array] = [
-        np.asarray(vertices, "<f8"),
-        np.asarray(faces, "<i4"),
-        np.asarray(texels, "u1"),
-        np.asarray(mass, "<f8"),
-        np.asarray(inertia, "<f8"),
-        np.asarray(friction, "<f8"),
-        *(np.asarray(part, "<f8") for part in parts),
-    ]
-    for array in arrays:
-        digest.update(f"{array.dtype.str}{array.shape}".encode())
-        digest.update((array + array.dtype.type(0)).tobytes())
-    return digest.hexdigest()

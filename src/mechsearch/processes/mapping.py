@@ -21,17 +21,6 @@ TRIES = 2
 """An input that fails on so many workers is not tried again."""
 
 
-class Progress(Protocol):
-    """Shown while something long goes on."""
-
-    def __call__(self, label: str, done: int, total: int) -> None:
-        """Tell that `done` of `total` pieces of `label` are finished."""
-
-
-def silent(label: str, done: int, total: int) -> None:
-    """Show nothing."""
-
-
 def raise_failure(item: object, failure: Failure) -> NoReturn:
     """Stop the whole map because of one input.
 

@@ -1,13 +1,19 @@
-"""Progress bars with rate and time left."""
+"""How long work is told of: not at all, or by bars with rate and time left."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Display
 
-from mechsearch.processes.mapping import Progress
+class Progress(Protocol):
+    """Shown while something long goes on."""
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        """Tell that `done` of `total` pieces of `label` are finished."""
+
+
+def silent(label: str, done: int, total: int) -> None:
+    """Show nothing."""
 
 
 @contextmanager
@@ -17,15 +23,18 @@ def bars() -> Iterator[Progress]:
     The first word of a label, up to a comma, names its bar; what follows may change, such as the
     last scores.
     """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
+    from rich import progress as rich
+    from rich.console import Console
+
+    display = rich.Progress(
+        rich.TextColumn("{task.description}"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TextColumn("{task.fields[rate]}"),
+        rich.TimeRemainingColumn(),
+        console=Console(stderr=True),
     )
-    display = Display(*columns, console=Console(stderr=True))
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, rich.TaskID] = {}
 
     def show(label: str, done: int, total: int) -> None:
         name = label.split(",")[0]

@@ -14,7 +14,7 @@ import ray
 from ray.exceptions import ActorDiedError, ActorUnavailableError, RayError, RayTaskError
 
 from mechsearch.processes.mapping import Input, Ledger, Result, attempted, map_with, raise_failure
-from mechsearch.processes.workers import START_LIMIT, STARTS, Asked, Failure, Reply
+from mechsearch.processes.workers import START_LIMIT, STARTS, Asked, Failure, Reply, replies
 from mechsearch.types import MechSearchError
 
 SAME_EVERYWHERE = ("mechsearch", "mujoco-core", "numpy", "ray")
@@ -106,7 +106,7 @@ class RayWorker:
     Attributes:
         asked: The request that it works on, if any.
         alive: Whether it may be asked; once it is not, it must be replaced.
-        reply: What is waited for: first its versions, then each answer.
+        awaited: First its versions, then each answer.
         deadline: When it has used up its time, on the monotonic clock.
     """
 
@@ -127,7 +127,7 @@ class RayWorker:
         self._started, self._answer = False, None
         self.asked: deque[Asked] = deque()
         self.alive = True
-        self.reply = self._actor.versions.remote()
+        self.awaited = self._actor.versions.remote()
         self.deadline = time.monotonic() + START_LIMIT
 
     def ask(self, key: int, request: Any, limit: float | None = None) -> None:
@@ -139,7 +139,7 @@ class RayWorker:
 
     def _await_answer(self) -> None:
         limit = self.asked[0].limit
-        self.reply = self._answer
+        self.awaited = self._answer
         self.deadline = float("inf") if limit is None else time.monotonic() + limit
 
     def replace(self) -> "RayWorker":
@@ -151,39 +151,33 @@ class RayWorker:
         self.alive = False
         ray.kill(self._actor)
 
-    def take(self) -> Reply["RayWorker"] | None:
+    def reply(self) -> Reply["RayWorker"] | None:
         """Return what there is to tell after a wait; None for an actor that has just started."""
         value: Any
         try:
-            ready, _ = ray.wait([self.reply], timeout=0)
-            value = ray.get(self.reply) if ready else Failure("worker hung")
+            value = ray.get(self.awaited)
         except (ActorDiedError, ActorUnavailableError):
-            value = Failure("worker died")
+            return self.fail("worker died")
         except RayTaskError as error:
             value = Failure.of(error)
         except RayError as error:
-            value = Failure(f"worker died: {type(error).__name__}")
-        if isinstance(value, Failure) and value.error is None:
-            self.stop()
-        elif not self._started:
+            return self.fail(f"worker died: {type(error).__name__}")
+        if not self._started:
             self._started = True
             _check(value)
             self._await_answer()
             return None
-        return Reply(self, self.asked.popleft().key if self._started else None, value)
+        return Reply(self, self.asked.popleft().key, value)
+
+    def fail(self, reason: str) -> Reply["RayWorker"]:
+        """End the actor; the request whose turn it was has failed."""
+        self.stop()
+        key = self.asked.popleft().key if self._started else None
+        return Reply(self, key, Failure(reason))
 
 
 def _replies(workers: Sequence[RayWorker]) -> Iterator[Reply[RayWorker]]:
-    """Wait until an actor has answered, is lost, or has used up its time; yield what is there."""
-    first = min(worker.deadline for worker in workers)
-    timeout = None if first == float("inf") else max(0.0, first - time.monotonic())
-    ready, _ = ray.wait([worker.reply for worker in workers], timeout=timeout)
-    late = time.monotonic()
-    for worker in workers:
-        if worker.reply in ready or worker.deadline <= late:
-            reply = worker.take()
-            if reply is not None:
-                yield reply
+    return replies(workers, lambda awaited, limit: ray.wait(awaited, timeout=limit)[0])
 
 
 def _versions() -> dict[str, str]:

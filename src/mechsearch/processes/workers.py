@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -58,9 +58,20 @@ class MapWorker(Protocol):
 
     asked: deque[Asked]
     alive: bool
+    awaited: Any
+
+    @property
+    def deadline(self) -> float:
+        """When it has used up its time, on the monotonic clock; infinite without a limit."""
 
     def ask(self, key: int, request: Any, limit: float | None = None) -> None:
         """Send a request."""
+
+    def reply(self) -> "Reply[Self] | None":
+        """Return what there is to tell once something is; None for one that has just started."""
+
+    def fail(self, reason: str) -> "Reply[Self]":
+        """End the process; the request whose turn it was has failed."""
 
     def replace(self) -> Self:
         """Return a new worker in the place of this one."""
@@ -86,6 +97,7 @@ class Worker:
     Attributes:
         asked: Requests without a reply, the one that is being worked on first.
         alive: Whether it may be asked; once it is not, it must be replaced.
+        awaited: What `replies` waits for.
     """
 
     def __init__(
@@ -100,7 +112,7 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._make, self._failed_starts = make, tuple(failed_starts)
         self._started = False
-        self.pipe, theirs = context.Pipe()
+        self.awaited, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(make, theirs), daemon=True)
         self._process.start()
         theirs.close()
@@ -134,12 +146,12 @@ class Worker:
         self.asked.append(Asked(key, limit))
         data = ForkingPickler.dumps(request)
         with suppress(OSError):  # If it has died since, the end of its pipe will say so.
-            self.pipe.send_bytes(data)
+            self.awaited.send_bytes(data)
 
     def reply(self) -> "Reply[Worker] | None":
         """Return what there is to tell after `wait`; None for a worker that has just started."""
         try:
-            value = self.pipe.recv()
+            value = self.awaited.recv()
         except (EOFError, OSError):
             self._process.join(1.0)
             return self.fail("worker died")
@@ -173,23 +185,25 @@ class Worker:
     def stop(self) -> None:
         """End the process, whatever it does."""
         self.alive = False
-        self.pipe.close()
+        self.awaited.close()
         self._process.kill()
         self._process.join()
 
 
-def replies(workers: Sequence[Worker]) -> Iterator[Reply[Worker]]:
+def replies(
+    workers: Sequence[Crew], wait: Callable[[list[Any], float | None], Iterable[Any]] = wait
+) -> Iterator[Reply[Crew]]:
     """Wait until one of the workers has answered, died, or used up its time; yield what is there.
 
     Args:
         workers: All alive.
+        wait: Given what is awaited, and for how long at most [s], returns what is ready.
     """
-    by_pipe: dict[Any, Worker] = {worker.pipe: worker for worker in workers}
     first = min(worker.deadline for worker in workers)
     timeout = None if first == float("inf") else max(0.0, first - time.monotonic())
-    ready = {by_pipe[pipe] for pipe in wait(list(by_pipe), timeout)}
+    ready = set(wait([worker.awaited for worker in workers], timeout))
     for worker in workers:
-        if worker in ready:
+        if worker.awaited in ready:
             reply = worker.reply()
             if reply is not None:
                 yield reply

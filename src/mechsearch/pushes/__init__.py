@@ -11,24 +11,3 @@ from mechsearch.pushes.view import (
     PushViews,
     view_pushes,
 )
-
-__all__ = [
-    "KINDS",
-    "MIRRORED_NUMBERS",
-    "NUMBERS",
-    "PATCH",
-    "STRAIGHT_NUMBER",
-    "PlannedPush",
-    "Push",
-    "PushViews",
-    "Route",
-    "RouteConfig",
-    "Shape",
-    "Sight",
-    "draw_pushes",
-    "look",
-    "spiral",
-    "straight",
-    "view_pushes",
-    "zigzag",
-]

@@ -90,7 +90,7 @@ def _box_model(name: str, half: Floats, colour: tuple[int, int, int]) -> ObjectM
     vertices, faces = np.array(box.vertices, np.float64), np.array(box.faces, np.int32)
     texels = np.full((len(faces), 1, 3), colour, np.uint8)
     return ObjectModel(
-        name, "robot", vertices, faces, texels, (vertices,), 1.0, np.eye(3), 0.5, 0.0, ""
+        name, "robot", vertices, faces, texels, (vertices,), 1.0, np.eye(3), 0.5, 0.0
     )
 
 

@@ -66,5 +66,5 @@ def pusher_model(pusher: Pusher, sides: int = 16, rings: int = 4) -> ObjectModel
     texels = np.full((len(indices), 1, 3), (60, 64, 72), np.uint8)
     return ObjectModel(
         "pusher", "robot", vertices, indices, texels, (vertices,), pusher.mass,
-        np.eye(3) * 1e-4, pusher.friction, 0.0, "",
+        np.eye(3) * 1e-4, pusher.friction, 0.0,
     )  # fmt: skip

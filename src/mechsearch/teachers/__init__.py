@@ -2,12 +2,3 @@
 
 from mechsearch.teachers.registry import PAPER_TEACHERS, TEACHERS, check_teacher, make_teacher
 from mechsearch.teachers.teacher import PushTeacher, Teacher
-
-__all__ = [
-    "PAPER_TEACHERS",
-    "TEACHERS",
-    "PushTeacher",
-    "Teacher",
-    "check_teacher",
-    "make_teacher",
-]

@@ -6,8 +6,17 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from mechsearch.files import append_line, line_of, naming, read_lines, write_text, write_whole
-from mechsearch.files.layout import EVENTS_FOLDER, METRICS_FILE, SPEED_FILE
+from mechsearch.files import (
+    EVENTS_FOLDER,
+    METRICS_FILE,
+    SPEED_FILE,
+    append_line,
+    line_of,
+    naming,
+    read_lines,
+    write_text,
+    write_whole,
+)
 from mechsearch.files.tensors import Archive
 from mechsearch.types import MechSearchError
 

@@ -8,9 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.files import alone, read_record, write_record
-from mechsearch.files.fingerprint import crossed, fingerprint
-from mechsearch.files.layout import CONFIG_FILE, INPUTS_FILE
+from mechsearch.files import (
+    CONFIG_FILE,
+    INPUTS_FILE,
+    alone,
+    crossed,
+    fingerprint,
+    read_record,
+    write_record,
+)
 from mechsearch.heaps.dataset import HeapSet, open_heaps
 from mechsearch.processes import Progress, silent
 from mechsearch.training.assemble import assemble

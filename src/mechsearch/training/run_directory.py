@@ -6,8 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import NamedTensors, RunConfig
-from mechsearch.files import differences
-from mechsearch.files.layout import CHECKPOINTS_FOLDER, CONFIG_FILE, POLICIES_FOLDER, POLICY_FILE
+from mechsearch.files import (
+    CHECKPOINTS_FOLDER,
+    CONFIG_FILE,
+    POLICIES_FOLDER,
+    POLICY_FILE,
+    differing_fields,
+)
 from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.training.config import load_config, save_config
 from mechsearch.training.policies import TrainedPolicy, save_policy
@@ -98,7 +103,7 @@ def _load(path: Path) -> Archive:
 
 def _check_same(stored: RunConfig[Any], given: RunConfig[Any], path: Path) -> None:
     longer = replace(stored.schedule, actions=given.schedule.actions)
-    differing = differences(replace(stored, schedule=longer), given)
+    differing = differing_fields(replace(stored, schedule=longer), given)
     if differing:
         name, before, now = differing[0]
         raise MechSearchError(

@@ -12,15 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from mechsearch.objects.household.containers import CONTAINERS
-from mechsearch.objects.household.fruit import FRUIT
+from mechsearch.objects.household.items import items
 from mechsearch.objects.household.primitives import Solids
-from mechsearch.objects.household.tools import TOOLS
-from mechsearch.objects.household.toys import TOYS
-from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, ObjectSet, content_hash
+from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, ObjectSet
 from mechsearch.types import Floats
-
-ITEMS = (*CONTAINERS, *FRUIT, *TOOLS, *TOYS)
 
 _DECIMALS = 6  # A micrometre, so that the last bits of a sine change no digest.
 _INERTIA_DECIMALS = 12
@@ -30,8 +25,8 @@ _INERTIA_DECIMALS = 12
 def household() -> ObjectSet:
     """Return the default set: 56 objects of the household, none left out of heaps."""
     models = {
-        item.name: union_of(item.name, item.category, item.grams / 1000, item.shape())
-        for item in ITEMS
+        name: union_of(name, category, grams / 1000, solids)
+        for name, category, grams, solids in items()
     }
     return ObjectSet("household", models, {})
 
@@ -57,25 +52,19 @@ def union_of(name: str, category: str, mass: float, solids: Solids) -> ObjectMod
     centre = volumes @ centres / volumes.sum()
     second = density * moments.sum(axis=0) - mass * np.outer(centre, centre)
     inertia = np.round(np.trace(second) * np.eye(3) - second, _INERTIA_DECIMALS)
-    vertices = _rounded(np.concatenate([solid.vertices for solid in solids]) - centre)
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
-    faces = np.concatenate(
-        [solid.faces + start for solid, start in zip(solids, starts, strict=True)], dtype=np.int32
-    )
-    texels = _shared_grid([solid.texels for solid in solids])
-    parts = tuple(_rounded(solid.hull - centre) for solid in solids)
+    faces = [solid.faces + start for solid, start in zip(solids, starts, strict=True)]
     return ObjectModel(
-        name=name,
-        category=category,
-        vertices=vertices,
-        faces=faces,
-        texels=texels,
-        parts=parts,
-        mass=mass,
-        inertia=inertia,
-        friction=FRICTION,
-        hull_error=max(hausdorff(solid.vertices, solid.hull) for solid in solids),
-        content_hash=content_hash(name, vertices, faces, texels, parts, mass, inertia, FRICTION),
+        name,
+        category,
+        _rounded(np.concatenate([solid.vertices for solid in solids]) - centre),
+        np.concatenate(faces, dtype=np.int32),
+        _shared_grid([solid.texels for solid in solids]),
+        tuple(_rounded(solid.hull - centre) for solid in solids),
+        mass,
+        inertia,
+        FRICTION,
+        max(hausdorff(solid.vertices, solid.hull) for solid in solids),
     )
 
 

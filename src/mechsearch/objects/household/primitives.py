@@ -72,23 +72,6 @@ class Solid:
 Solids = Sequence[Solid]
 
 
-@dataclass(frozen=True)
-class Item:
-    """One object of the set, before it is put together.
-
-    Attributes:
-        name: Unique.
-        category: Such as "can".
-        grams: Mass [g].
-        shape: Makes its convex solids.
-    """
-
-    name: str
-    category: str
-    grams: float
-    shape: Callable[[], Solids]
-
-
 def skin(rings: ArrayLike, hull: ArrayLike | None = None) -> Solid:
     """Return the solid that K rings of N corners each span, closed by a fan at either end.
 

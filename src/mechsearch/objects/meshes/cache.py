@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.files import read_arrays, write_whole
-from mechsearch.files.layout import cache_folder
-from mechsearch.objects.meshes import convex, hull, prepare
-from mechsearch.objects.meshes.mesh_file import source_files
-from mechsearch.objects.meshes.prepare import Prepared, Source
+from mechsearch.files import cache_folder, read_arrays, write_whole
+from mechsearch.objects.meshes import convex, prepare
+from mechsearch.objects.meshes.prepare import Prepared, Source, source_files
 from mechsearch.objects.model import FLAGGED_ERROR, FRICTION, TEXEL_ROWS, ObjectModel
 from mechsearch.processes import PROCESSORS, Failure, Progress, map_in_order, silent
 from mechsearch.types import Array, MechSearchError
+
+_TEXTS = ("name", "category", "content_hash")
+_SCALARS = ("mass", "friction", "hull_error")
+_ARRAYS = ("vertices", "faces", "texels", "inertia")
 
 
 def prepare_all(
@@ -92,26 +94,12 @@ def cache_key(source: Source) -> str:
     """
     if not source.mesh.is_file():
         raise MechSearchError(f"no mesh at {source.mesh}")
-    settings = [
-        prepare.VERSION,
-        prepare.MOST_FACES,
-        TEXEL_ROWS,
-        prepare.COLOUR_SAMPLES,
-        FRICTION,
-        hull.HULL_VERTICES,
-        convex.SINGLE_HULL_ERROR,
-        convex.SINGLE_HULL_USUAL_ERROR,
-        convex.MOST_PARTS,
-        convex.THRESHOLD,
-        prepare.LONGEST,
-        prepare.SECOND_LONGEST,
-        prepare.LARGEST_BOX,
-        prepare.SMALLEST,
-        prepare.LIGHTEST,
-        prepare.DENSITY,
-        prepare.GROSS_ERROR,
-        prepare.DEFORMABLE,
-    ]
+    settings = (
+        *(prepare.VERSION, prepare.MOST_FACES, TEXEL_ROWS, prepare.COLOUR_SAMPLES, FRICTION),
+        *convex.settings(),
+        *(prepare.LONGEST, prepare.SECOND_LONGEST, prepare.LARGEST_BOX, prepare.SMALLEST),
+        *(prepare.LIGHTEST, prepare.DENSITY, prepare.GROSS_ERROR, prepare.DEFORMABLE),
+    )
     record = [source.name, source.category, source.mass, source.mesh.suffix.lower(), settings]
     sha = hashlib.sha256(json.dumps(record).encode())
     for file in source_files(source.mesh):
@@ -153,16 +141,6 @@ def prepare_into(source: Source, path: Path) -> str:
     return done.remark
 
 
-def digest(*arrays: Array) -> str:
-    """Return the SHA-256 of arrays, their shapes and types, the same on every machine."""
-    sha = hashlib.sha256()
-    for array in arrays:
-        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-        sha.update(f"{little.dtype.str}{little.shape}".encode())
-        sha.update(little.tobytes())
-    return sha.hexdigest()
-
-
 def model_to_npz(path: Path, model: ObjectModel, remark: str = "") -> None:
     """Write a model, whole or not at all.
 
@@ -171,21 +149,13 @@ def model_to_npz(path: Path, model: ObjectModel, remark: str = "") -> None:
         model: What to keep.
         remark: Free text kept beside it, such as why the object cannot lie in a heap.
     """
-    text = {
-        "name": model.name,
-        "category": model.category,
-        "content_hash": model.content_hash,
-        "remark": remark,
-    }
+    text = {name: getattr(model, name) for name in _TEXTS} | {"remark": remark}
     arrays: dict[str, Array] = {
         "text": np.frombuffer(json.dumps(text, sort_keys=True).encode(), np.uint8),
-        "vertices": model.vertices,
-        "faces": model.faces,
-        "texels": model.texels,
         "points": np.concatenate(model.parts),
         "part_sizes": np.array([len(part) for part in model.parts], np.int64),
-        "scalars": np.array([model.mass, model.friction, model.hull_error], np.float64),
-        "inertia": model.inertia,
+        "scalars": np.array([getattr(model, name) for name in _SCALARS], np.float64),
+        **{name: getattr(model, name) for name in _ARRAYS},
     }
     arrays["checksum"] = np.frombuffer(_checksum(arrays).encode(), np.uint8)
     write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))
@@ -199,9 +169,13 @@ def model_from_npz(path: Path) -> tuple[ObjectModel, str]:
     """
     try:
         arrays = read_arrays(path, "object model")
-        checksum = bytes(arrays.pop("checksum")).decode()
-        sound = checksum == _checksum(arrays)
-        model, remark = _model(arrays)
+        sound = bytes(arrays.pop("checksum")).decode() == _checksum(arrays)
+        text = json.loads(bytes(arrays["text"]))
+        remark = text.pop("remark")
+        fields: dict[str, Any] = {name: arrays[name] for name in _ARRAYS} | text
+        fields |= zip(_SCALARS, map(float, arrays["scalars"]), strict=True)
+        parts = tuple(np.split(arrays["points"], np.cumsum(arrays["part_sizes"])[:-1]))
+        model = ObjectModel(**fields, parts=parts)
     except (ValueError, KeyError, TypeError) as error:
         raise MechSearchError(f"the object model at {path} is damaged: {error}") from None
     if not sound:
@@ -210,14 +184,10 @@ def model_from_npz(path: Path) -> tuple[ObjectModel, str]:
 
 
 def _checksum(arrays: Mapping[str, Array]) -> str:
-    return digest(*(arrays[key] for key in sorted(arrays)))
-
-
-def _model(arrays: Mapping[str, Any]) -> tuple[ObjectModel, str]:
-    text = json.loads(bytes(arrays["text"]))
-    remark = text.pop("remark")
-    mass, friction, hull_error = (float(value) for value in arrays["scalars"])
-    parts = tuple(np.split(arrays["points"], np.cumsum(arrays["part_sizes"])[:-1]))
-    shape = {name: arrays[name] for name in ("vertices", "faces", "texels", "inertia")}
-    numbers: dict[str, Any] = {"mass": mass, "friction": friction, "hull_error": hull_error}
-    return ObjectModel(**text, **shape, **numbers, parts=parts), remark
+    """Return the SHA-256 of arrays, their shapes and types, the same on every machine."""
+    sha = hashlib.sha256()
+    for _, array in sorted(arrays.items()):
+        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        sha.update(f"{little.dtype.str}{little.shape}".encode())
+        sha.update(little.tobytes())
+    return sha.hexdigest()

@@ -1,17 +1,33 @@
-"""Convex parts of a mesh: one hull where that is close enough, else a decomposition."""
+"""Convex parts of a mesh: one hull where that is close enough, else a decomposition, once.
 
+A decomposition takes minutes, and a search that is cut off by a clock or rounded otherwise finds
+other parts. `known_parts.npz` holds those of the official YCB scans (Calli et al., 2015, CC BY
+4.0), the same on every machine; those of any other mesh are kept in the user's cache folder.
+"""
+
+import hashlib
+import json
 import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from scipy.spatial import QhullError
 
-from mechsearch.objects.meshes.hull import hull_error, reduced_hull, shell_distances
+from mechsearch.files import cache_folder, read_arrays, write_whole
+from mechsearch.objects.meshes.hull import (
+    HULL_VERTICES,
+    hull_error,
+    reduced_hull,
+    shell_distances,
+)
 from mechsearch.types import Floats, MechSearchError
 
 SINGLE_HULL_ERROR = 0.005
@@ -25,6 +41,8 @@ THRESHOLD = 0.08
 
 TIME_LIMIT = 600.0
 """Longest decomposition [s]; the slowest YCB object takes about one minute of one processor."""
+
+KNOWN = Path(__file__).with_name("known_parts.npz")
 _SCRIPT = Path(__file__).with_name("coacd_process.py")
 
 
@@ -76,9 +94,9 @@ def convex_parts(
     try:
         parts = _decompose(simple, time_limit)
     except subprocess.TimeoutExpired:
-        return ConvexParts(whole.parts, whole.error, f"no decomposition in {time_limit:g} s")
+        return replace(whole, remark=f"no decomposition in {time_limit:g} s")
     except subprocess.CalledProcessError as error:
-        return ConvexParts(whole.parts, whole.error, f"decomposition failed ({error.returncode})")
+        return replace(whole, remark=f"decomposition failed ({error.returncode})")
     split = ConvexParts(parts, hull_error(mesh, parts), "")
     return split if parts and split.error < whole.error else whole
 
@@ -112,3 +130,80 @@ def _decompose(mesh: trimesh.Trimesh, time_limit: float) -> tuple[Floats, ...]:
         except (QhullError, ValueError):
             continue  # A sliver without volume adds nothing to physics.
     return tuple(parts)
+
+
+def settings() -> list[float]:
+    """Return the numbers that decide the convex parts of a mesh."""
+    return [HULL_VERTICES, SINGLE_HULL_ERROR, SINGLE_HULL_USUAL_ERROR, MOST_PARTS, THRESHOLD]
+
+
+def parts_key(mesh: Path) -> str:
+    """Return the digest of a mesh file and of all settings that decide its convex parts."""
+    return hashlib.sha256(json.dumps(settings()).encode() + mesh.read_bytes()).hexdigest()
+
+
+def parts_of(file: Path, mesh: trimesh.Trimesh, simple: trimesh.Trimesh) -> ConvexParts:
+    """Return the convex parts of a mesh file's mesh, in its own frame; found but once.
+
+    Parts that a decomposition failed to find are not kept.
+
+    Args:
+        file: The mesh file.
+        mesh: What is in it.
+        simple: The same with fewer faces; see `convex_parts`.
+
+    Raises:
+        MechSearchError: If the mesh is flat.
+    """
+    key = parts_key(file)
+    kept = cache_folder() / "parts" / f"{key}.npz"
+    found = known_parts().get(key)
+    if found is None and kept.exists():
+        try:
+            found = read_table(kept).get(key)
+        except MechSearchError as error:
+            warnings.warn(f"{error}; the mesh is decomposed again", stacklevel=2)
+    if found is None:
+        found = convex_parts(mesh, simple)
+        if not found.remark:
+            write_table(kept, {key: found})
+    return found
+
+
+@cache
+def known_parts() -> Mapping[str, ConvexParts]:
+    """Return the convex parts of the official YCB scans, by `parts_key`."""
+    return read_table(KNOWN)
+
+
+def read_table(path: Path) -> Mapping[str, ConvexParts]:
+    """Return a table of convex parts, by `parts_key`.
+
+    Raises:
+        MechSearchError: If the file is missing, damaged or no such table.
+    """
+    arrays = read_arrays(path, "table of convex parts")
+    try:
+        clouds = np.split(arrays["points"].astype(np.float64), np.cumsum(arrays["sizes"])[:-1])
+        ends = np.cumsum(arrays["counts"])
+        return {
+            str(key): ConvexParts(tuple(clouds[end - count : end]), float(error), "")
+            for key, end, count, error in zip(
+                arrays["keys"], ends, arrays["counts"], arrays["errors"], strict=True
+            )
+        }
+    except (KeyError, ValueError, TypeError) as error:
+        raise MechSearchError(f"{path} is damaged or no table of convex parts: {error}") from None
+
+
+def write_table(path: Path, found: Mapping[str, ConvexParts]) -> None:
+    """Write a table of convex parts, by `parts_key`."""
+    parts = [part for one in found.values() for part in one.parts]
+    arrays = {
+        "keys": np.array(list(found)),
+        "counts": np.array([len(one.parts) for one in found.values()]),
+        "errors": np.array([one.error for one in found.values()]),
+        "sizes": np.array([len(part) for part in parts]),
+        "points": np.concatenate(parts),
+    }
+    write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,6 +14,7 @@ from mechsearch.types import Floats
 HULL_VERTICES = 32
 """Most vertices of a convex part; physics slows down with more."""
 
+_concatenate: Callable[..., Any] = trimesh.util.concatenate
 _closest_point: Callable[..., Floats] = trimesh.triangles.closest_point
 _SAMPLES = 4000
 _CLOUD = 40_000
@@ -69,12 +71,10 @@ class MassProperties:
     """Uniform density, scaled to a mass.
 
     Attributes:
-        volume: [m^3].
         centre: Centre of mass (3,) [m].
         inertia: About the centre of mass (3, 3) [kg m^2].
     """
 
-    volume: float
     centre: Floats
     inertia: Floats
 
@@ -83,14 +83,14 @@ def mass_properties(meshes: Sequence[trimesh.Trimesh], mass: float) -> MassPrope
     """Return the mass properties of closed meshes together; overlaps count twice."""
     volumes = np.array([mesh.volume for mesh in meshes])
     centres = np.array([mesh.center_mass for mesh in meshes])
-    volume = float(volumes.sum())
+    volume = volumes.sum()
     centre = volumes @ centres / volume
     inertia = np.zeros((3, 3))
     for mesh, own, offset in zip(meshes, volumes, centres - centre, strict=True):
         inertia += mesh.moment_inertia / mesh.density
         inertia += own * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     inertia = (inertia + inertia.T) / 2 * (mass / volume)
-    return MassProperties(volume, centre, inertia)
+    return MassProperties(centre, inertia)
 
 
 def hull_error(mesh: trimesh.Trimesh, parts: Sequence[Floats]) -> float:
@@ -119,11 +119,8 @@ def shell_distances(mesh: trimesh.Trimesh, parts: Sequence[Floats]) -> Floats:
 
 
 def _union(parts: Sequence[Floats]) -> trimesh.Trimesh:
-    hulls = [as_mesh(part) for part in parts]
-    offsets = np.cumsum([0, *(len(hull.vertices) for hull in hulls)])
-    faces = [hull.faces + offset for hull, offset in zip(hulls, offsets, strict=False)]
-    vertices = np.concatenate([hull.vertices for hull in hulls])
-    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+    union: trimesh.Trimesh = _concatenate([as_mesh(part) for part in parts])
+    return union
 
 
 def sample_surface(

@@ -3,6 +3,7 @@
 Not every object can lie in a heap: of those that cannot, the reason is told.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from mechsearch.objects.meshes.convex import ConvexParts, single_hull
+from mechsearch.objects.meshes.convex import ConvexParts, parts_of, single_hull
 from mechsearch.objects.meshes.hull import MassProperties, as_mesh, mass_properties
-from mechsearch.objects.meshes.known_parts import parts_of
-from mechsearch.objects.meshes.mesh_file import merge_pieces, read_pieces
 from mechsearch.objects.meshes.texels import bake_texels
-from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel, content_hash
+from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel
 from mechsearch.types import Floats, MechSearchError
+
+SUFFIXES = (".obj", ".stl", ".glb")
 
 VERSION = 2
 """Raised with every change of the results of preparation, so that old cache files are not used."""
@@ -111,24 +112,74 @@ def prepare(source: Source) -> Prepared:
         or why_wrong_mass(source.mass, float(mesh.convex_hull.volume))
         or why_wrong_shape(convex.error, convex.remark)
     )
-    vertices, parts = vertices - body.centre, tuple(part - body.centre for part in convex.parts)
-    identity = content_hash(
-        source.name, vertices, faces, texels, parts, source.mass, body.inertia, FRICTION
-    )
     model = ObjectModel(
-        name=source.name,
-        category=source.category,
-        vertices=vertices,
-        faces=faces,
-        texels=texels,
-        parts=parts,
-        mass=source.mass,
-        inertia=body.inertia,
-        friction=FRICTION,
-        hull_error=convex.error,
-        content_hash=identity,
+        source.name,
+        source.category,
+        vertices - body.centre,
+        faces,
+        texels,
+        tuple(part - body.centre for part in convex.parts),
+        source.mass,
+        body.inertia,
+        FRICTION,
+        convex.error,
     )
     return Prepared(model, excluded, convex.remark)
+
+
+def source_files(path: Path) -> list[Path]:
+    """Return the mesh file and, for OBJ, the material and texture files it names that exist."""
+    files = [path]
+    if path.suffix.lower() == ".obj":
+        for name in _named(path, rb"^mtllib[ \t]+(.+?)\s*$"):
+            material = path.parent / name
+            if material.is_file():
+                files.append(material)
+                textures = _named(material, rb"^\s*map_\w+[ \t]+(?:.*[ \t])?(\S+)\s*$")
+                files += [path.parent / texture for texture in textures]
+    return [file for file in dict.fromkeys(files) if file.is_file()]
+
+
+def _named(path: Path, pattern: bytes) -> list[str]:
+    return [
+        match.decode("utf-8", "replace")
+        for match in re.findall(pattern, path.read_bytes(), re.MULTILINE)
+    ]
+
+
+def read_pieces(path: Path) -> list[trimesh.Trimesh]:
+    """Return the meshes of a file in one frame [m], with their colours.
+
+    Raises:
+        MechSearchError: If the file is missing, not a mesh, empty or has numbers that are not
+            finite.
+    """
+    if not path.is_file():
+        raise MechSearchError(f"no mesh at {path}")
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh)]
+    except Exception as error:  # noqa: BLE001  (parsers of foreign formats raise anything)
+        raise MechSearchError(
+            f"cannot read the mesh {path}: {type(error).__name__}: {error}"
+        ) from None
+    pieces = [piece for piece in pieces if len(piece.faces)]
+    if not pieces:
+        raise MechSearchError(f"the mesh {path} is empty; expected triangles")
+    if not all(np.isfinite(piece.vertices).all() for piece in pieces):
+        raise MechSearchError(f"the mesh {path} has vertices that are not finite")
+    return pieces
+
+
+def merge_pieces(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Return one plain mesh of all pieces, with equal vertices merged."""
+    offsets = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + offset for piece, offset in zip(pieces, offsets, strict=False)]
+    vertices = np.concatenate([np.asarray(piece.vertices, np.float64) for piece in pieces])
+    mesh = trimesh.Trimesh(vertices, np.concatenate(faces), process=True)
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    return mesh
 
 
 def simplified(mesh: trimesh.Trimesh) -> tuple[Floats, NDArray[np.int32]]:
@@ -165,17 +216,11 @@ def _possible(body: MassProperties, mesh: trimesh.Trimesh) -> bool:
     return within and moments[0] > 0 and moments[0] + moments[1] >= moments[2]
 
 
-def sides(points: Floats) -> Floats:
-    """Return the sides (3,) [m] of the smallest box about points (N, 3), longest first."""
-    _, extents = _oriented_bounds(points)
-    return np.sort(extents)[::-1]
-
-
 def why_wrong_size(name: str, points: Floats) -> str:
     """Return why a mesh (N, 3) [m] is too large, too small or not rigid, or an empty string."""
     if name in DEFORMABLE:
         return DEFORMABLE[name]
-    longest, second, third = sides(points)
+    longest, second, third = np.sort(_oriented_bounds(points)[1])[::-1]
     measured = f"{longest:.3g} x {second:.3g} x {third:.3g} m"
     if longest > LONGEST or second > SECOND_LONGEST or longest * second * third > LARGEST_BOX:
         hint = "; are its units metres?" if longest > 2 else ""

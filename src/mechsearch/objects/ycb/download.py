@@ -187,7 +187,9 @@ def unpack_scan(archive: Path, name: str, destination: Path) -> None:
     target = destination / name / FOLDER
     with tempfile.TemporaryDirectory(dir=archive.parent, prefix=f"{name}.") as beside:
         try:
-            _read_through(archive)
+            with gzip.open(archive) as stream:  # To its end, where length and CRC are compared.
+                while stream.read(1 << 20):
+                    pass
             with tarfile.open(archive, "r:gz") as tar:
                 for member in _checked(tar, archive, name):
                     tar.extract(member, beside, filter="data")
@@ -200,13 +202,6 @@ def unpack_scan(archive: Path, name: str, destination: Path) -> None:
             raise MechSearchError(f"{target} is incomplete; remove it and pull again")
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.move(scan, target)
-
-
-def _read_through(archive: Path) -> None:
-    """Read a gzip stream to its end, where its length and CRC are compared."""
-    with gzip.open(archive) as stream:
-        while stream.read(1 << 20):
-            pass
 
 
 def _checked(tar: tarfile.TarFile, archive: Path, name: str) -> Iterator[tarfile.TarInfo]:
