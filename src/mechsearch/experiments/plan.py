@@ -10,7 +10,7 @@ from mechsearch.algorithm import RunConfig
 from mechsearch.env.heap_env import TaskConfig, differing
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.files import read_record, record_from_json, write_record
+from mechsearch.files import differing_fields, read_record, record_from_json, write_record
 from mechsearch.heaps.dataset import object_set, open_heaps
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.heaps.heap import CONDITIONS
