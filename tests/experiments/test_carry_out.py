@@ -15,9 +15,8 @@ import pytest
 pytest.importorskip("torch")
 
 from mechsearch.cli import main
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import METRICS, Evaluation
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.journal import BEGAN, Journal
@@ -86,7 +85,7 @@ def test_every_job_is_done_and_every_result_is_where_the_layout_says(whole, tiny
 
 
 def test_the_summary_holds_every_metric_of_every_policy_once(whole):
-    rows = summary.read(whole[0] / "summary.csv")
+    rows = episodes.read_summary(whole[0] / "summary.csv")
     assert Counter(row.variant for row in rows) == dict.fromkeys(
         ("idle", "method", "plus", "teacher-straight"), len(METRICS)
     )

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation.policies import make_policy, policy_names
-from mechsearch.pushes import straight
+from mechsearch.pushes.push import straight
 from mechsearch.teachers import PAPER_TEACHERS, TEACHERS, PushTeacher, Teacher, make_teacher
 from mechsearch.types import TEACHER_KEYS, MechSearchError
 

@@ -5,35 +5,21 @@ actions are simulated, not executed, and are counted apart.
 """
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.trial import Rollout, imageless, roll_out
-from mechsearch.pushes import spiral, straight, zigzag
+from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import PushTeacher
-from mechsearch.types import Array, Observation, Policy
+from mechsearch.types import Observation
 
 SHAPES = (straight, zigzag, spiral)
 """What is tried: pushes of the paper's three teachers."""
 
 WITHOUT_SUCCESS = 100.0
 """What a trial that does not uncover the target is behind those that do."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The best push found.
-
-    Attributes:
-        actions: To the end of the episode (T, 3).
-        simulated_actions: Actions tried, over all pushes.
-    """
-
-    actions: NDArray[np.float32]
-    simulated_actions: int
 
 
 @dataclass(frozen=True)
@@ -55,53 +41,6 @@ class LookAheadConfig:
     tolerance: float = 1.0
 
 
-def plan_push(
-    twin: HeapEnv, snapshot: dict[str, Array], seed: int, config: LookAheadConfig
-) -> Plan:
-    """Return the best push from a snapshot taken by `HeapEnv.snapshot`.
-
-    Args:
-        twin: An `imageless` copy of the snapshot's environment.
-        snapshot: Where to start; actions already taken count.
-        seed: Of what teachers do after their first push.
-        config: How far to look.
-    """
-
-    def score(rollout: Rollout) -> float:
-        return rollout.reward - config.gentleness * rollout.clutter_moved
-
-    def is_hopeless(rollout: Rollout) -> bool:
-        return score(rollout) < best - config.margin
-
-    offset = twin.restore(snapshot)["target_offset"]
-    towards = offset / max(float(np.linalg.norm(offset)), 1e-6)
-    tried: list[tuple[float, NDArray[np.float32]]] = []
-    best = -np.inf
-    for i in range(config.directions):
-        for shape in SHAPES:
-            teacher = PushTeacher(shape, 2 * np.pi * i / config.directions)
-            teacher.reset(np.random.default_rng([seed, i]))
-            rollout = roll_out(twin, twin.restore(snapshot), teacher.act, is_hopeless)
-            # No success: a failed simulation must not be chosen for the penalties it escaped.
-            behind = 0.0 if rollout.end == "uncovered" else WITHOUT_SUCCESS
-            tried.append((score(rollout) - behind, np.array(rollout.actions, np.float32)))
-            best = max(best, tried[-1][0])
-    near = [actions for value, actions in tried if value >= best - config.tolerance]
-    chosen = max(near, key=lambda actions: float(actions[0] @ towards))
-    return Plan(chosen, sum(len(actions) for _, actions in tried))
-
-
-@runtime_checkable
-class Planner(Policy, Protocol):
-    """A policy that looks at the simulator itself before an episode begins."""
-
-    simulated_actions: int
-    """Actions simulated to plan the present episode, none of them executed."""
-
-    def plan(self, env: HeapEnv) -> None:
-        """Plan from where an environment is, and leave it there."""
-
-
 class LookAheadPolicy:
     """The best push found from an episode's start, executed to its end: the ceiling of pushes."""
 
@@ -119,12 +58,34 @@ class LookAheadPolicy:
         self.simulated_actions = 0
 
     def plan(self, env: HeapEnv) -> None:
-        """Try every push from where the environment is."""
+        """Try every push from where the environment is, and keep the best to its end."""
+
+        def score(rollout: Rollout) -> float:
+            return rollout.reward - config.gentleness * rollout.clutter_moved
+
+        def is_hopeless(rollout: Rollout) -> bool:
+            return score(rollout) < best - config.margin
+
         if env is not self._env:
             self._env, self._twin = env, imageless(env)
-        plan = plan_push(self._twin, env.snapshot(), env.heap.seed, self._config)
-        self._actions = list(plan.actions[::-1])
-        self.simulated_actions = plan.simulated_actions
+        config, twin, snapshot = self._config, self._twin, env.snapshot()
+        offset = twin.restore(snapshot)["target_offset"]
+        towards = offset / max(float(np.linalg.norm(offset)), 1e-6)
+        tried: list[tuple[float, NDArray[np.float32]]] = []
+        best = -np.inf
+        for i in range(config.directions):
+            for shape in SHAPES:
+                teacher = PushTeacher(shape, 2 * np.pi * i / config.directions)
+                teacher.reset(np.random.default_rng([env.heap.seed, i]))
+                rollout = roll_out(twin, twin.restore(snapshot), teacher.act, is_hopeless)
+                # No success: a failed simulation must not be chosen for the penalties it escaped.
+                behind = 0.0 if rollout.end == "uncovered" else WITHOUT_SUCCESS
+                tried.append((score(rollout) - behind, np.array(rollout.actions, np.float32)))
+                best = max(best, tried[-1][0])
+        near = [actions for value, actions in tried if value >= best - config.tolerance]
+        chosen = max(near, key=lambda actions: float(actions[0] @ towards))
+        self._actions = list(chosen[::-1])
+        self.simulated_actions = sum(len(actions) for _, actions in tried)
 
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the plan's next action (3,); stay in place once it is over."""

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.entry_point import is_entry_point, load_entry_point
+from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
 from mechsearch.env.heap_env import TaskConfig, task_from_json
 from mechsearch.evaluation.look_ahead import LookAheadPolicy
 from mechsearch.files import read_json, read_record
 from mechsearch.files.layout import CONFIG_FILE
-from mechsearch.observe.observation import IMAGE_KEYS
 from mechsearch.teachers import TEACHERS, make_teacher
-from mechsearch.types import MechSearchError, Observation, Policy
+from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
 
 TRAINED_LOADER = "mechsearch.training.policies:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
@@ -181,10 +180,10 @@ def check_view(policy: Policy, run: Mapping[str, Any], task: TaskConfig, name: s
 
 def _view_of(policy: Policy, run: Mapping[str, Any]) -> dict[str, Any]:
     """Return the camera and the size of the images that a policy is bound to."""
-    known = dict(run.get("task", run)) if IMAGE_KEYS & set(policy.keys) else {}
+    known = run.get("task", run) if IMAGE_KEYS & set(policy.keys) else {}
     said = {name: getattr(policy, name, None) for name in _VIEW}
-    known |= {name: value for name, value in said.items() if isinstance(value, _VIEW[name])}
-    return {name: known[name] for name in _VIEW if name in known}
+    said = {name: value for name, value in said.items() if isinstance(value, _VIEW[name])}
+    return {name: known[name] for name in _VIEW if name in known} | said
 
 
 def _is_file_of_run(spec: str) -> bool:
@@ -207,10 +206,5 @@ def checked_policy(policy: object, spec: str) -> Policy:
     Raises:
         MechSearchError: If it is none, naming what it lacks.
     """
-    if not isinstance(policy, Policy):
-        missing = [name for name in ("keys", "reset", "act") if not hasattr(policy, name)]
-        raise MechSearchError(
-            f"policy {spec!r} gives a {type(policy).__name__} without {', '.join(missing)}; "
-            "a policy has keys, reset(rng) and act(obs)"
-        )
-    return policy
+    known: Policy = conforming(policy, "policy", spec, ("keys", "reset(rng)", "act(obs)"))
+    return known

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mechsearch.evaluation import summary
+from mechsearch.evaluation.episodes import merge_summary, summary_rows
 from mechsearch.experiments.curves import write_curves
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.job import Job
@@ -150,8 +150,8 @@ def _gather(plan: SweepPlan, jobs: Sequence[Job], done: set[str], folder: SweepF
         if isinstance(job, Scoring) and job.name in done:
             evaluation = job.recorded()
             if evaluation is not None:
-                rows = summary.rows_of(job.plan.experiment, evaluation)
-                summary.merge(folder.summary, rows)
+                rows = summary_rows(job.plan.experiment, evaluation)
+                merge_summary(folder.summary, rows)
     write_curves(folder.curves, finished_runs(plan, folder))
 
 

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS
+from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS
 from mechsearch.files import locked, read_lines, write_whole
 from mechsearch.files.layout import CONFIG_FILE, METRICS_FILE
 from mechsearch.training.config import load_config

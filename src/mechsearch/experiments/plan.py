@@ -15,9 +15,8 @@ from mechsearch.files import (
     record_from_json,
     write_record,
 )
-from mechsearch.heaps.dataset import HeapSet, check_objects, load_heaps, object_set
+from mechsearch.heaps.dataset import CONDITIONS, HeapSet, check_objects, load_heaps, object_set
 from mechsearch.heaps.generate import GenerateConfig
-from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
 from mechsearch.training.assemble import SHIPPED_NETWORK
 from mechsearch.training.config import run_config

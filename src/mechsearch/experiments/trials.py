@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.episodes import (
+    Evaluation,
+    load_episodes,
+    merge_summary,
+    save_episodes,
+    summary_rows,
+)
 from mechsearch.evaluation.policies import LOOK_AHEAD
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name
 from mechsearch.experiments.curves import write_curves
@@ -227,7 +232,7 @@ class Scoring(Job):
         if len(files) > 1:
             names = ", ".join(file.name for file in files)
             raise MechSearchError(f"{files[0].parent} holds {names}; expected one of them")
-        evaluation = episodes.load_episodes(files[0])
+        evaluation = load_episodes(files[0])
         mark = self._mark
         for key, value in (self._expected | mark).items():
             # Earlier versions left no mark.
@@ -258,8 +263,8 @@ class Scoring(Job):
             evaluation = self.grasp(evaluation)
         evaluation = replace(evaluation, header={**evaluation.header, **self._mark})
         place = self.folder.evaluations(self.condition)
-        episodes.save_episodes(place / f"{file_name(evaluation)}.npz", evaluation)
-        summary.merge(self.folder.summary, summary.rows_of(self.plan.experiment, evaluation))
+        save_episodes(place / f"{file_name(evaluation)}.npz", evaluation)
+        merge_summary(self.folder.summary, summary_rows(self.plan.experiment, evaluation))
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.evaluation.episodes import load_episodes
-from mechsearch.evaluation.metrics import measure
+from mechsearch.evaluation.episodes import load_episodes, measure
 from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
 from mechsearch.files.layout import SCORES_SUFFIX
 from mechsearch.findings.failure_modes import EPISODE_MODES, EpisodeMode, mode_of
