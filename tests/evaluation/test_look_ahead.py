@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.evaluation.look_ahead import LookAheadConfig, LookAheadPolicy
-from mechsearch.evaluation.policies import make_policy
+from mechsearch.evaluation.policies import LookAheadConfig, LookAheadPolicy, make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, Planner, evaluate_plan, run
 from mechsearch.heaps.dataset import embedded_heaps, save_heaps
 from mechsearch.pushes.push import spiral, straight, zigzag

@@ -32,7 +32,7 @@ class Forgetful:
 """
 
 WHAT_NAMES_TEACHERS = """
-from mechsearch.evaluation.look_ahead import SHAPES
+from mechsearch.evaluation.policies import SHAPES
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.findings.claims import GOALS, PAPER
 from mechsearch.training.config import PRESETS

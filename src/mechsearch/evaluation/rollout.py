@@ -317,10 +317,8 @@ class _Rollouts:
 
     @cached_property
     def policy(self) -> Policy:
-        policy = self.plan.policy
-        if isinstance(policy, str):
-            return make_policy(policy)
-        return checked_policy(policy, self.plan.policy_text)
+        policy, text = self.plan.policy, self.plan.policy_text
+        return make_policy(policy) if isinstance(policy, str) else checked_policy(policy, text)
 
     @cached_property
     def opened(self) -> tuple[HeapSet, ObjectSet]:

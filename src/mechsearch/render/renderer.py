@@ -77,16 +77,9 @@ class Frame:
 class _Seen:
     """What one camera saw last, without pusher and colour.
 
-    Attributes:
-        view: The camera's rays.
-        projection: Of all bodies, shared with other resolutions of the camera.
-        rays: Of the whole frame (H, W, 3).
-        empty: Depth (H, W) of table and floor.
-        colour: Likewise (H, W, 3).
-        endless: Whether there are pixels of `empty` without anything, where it is infinite.
-        poses: Of the objects (N, 7); not a number before the first frame.
-        patches: Of the objects.
-        depth: Of table, floor and objects (H, W), infinite where nothing is.
+    Depth is along the optical axis: of table and floor alone in `empty`, of the objects too in
+    `depth`; both are infinite where nothing is, which `endless` says can be. `projection` is shared
+    with other resolutions of the camera; `poses` (N, 7) are no numbers before the first frame.
     """
 
     view: View
@@ -235,8 +228,7 @@ class Renderer:
             index = len(self.bodies) if identity == PUSHER else identity
             start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
             pixels = ids == identity
-            hits = self._all[index].cast(start, seen.rays[pixels], rotation)
-            rgb[pixels] = self._all[index].colours(hits, rotation)
+            rgb[pixels] = self._all[index].colours(start, seen.rays[pixels], rotation)
         return rgb
 
     def _background(

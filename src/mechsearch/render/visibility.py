@@ -4,7 +4,6 @@ Occlusion is the share of an object's whole projection that other objects hide.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 
 import numpy as np
@@ -30,23 +29,6 @@ _NEAREST = 0.01
 PixelBlock = list[int]
 """A rectangle of pixels: top, bottom, left and right, the second and last beyond it. It may reach
 beyond the frame, and is empty where an end is not after its beginning."""
-
-
-@dataclass(frozen=True)
-class Hits:
-    """First hits of a bundle of rays on one object.
-
-    Attributes:
-        depth: Distance (K,) in units of each ray's direction; above `NO_HIT` where it misses.
-        triangle: Face index (K,); -1 where it misses.
-        u: Weight of the face's second vertex (K,).
-        v: Weight of the face's third vertex (K,).
-    """
-
-    depth: NDArray[np.float32]
-    triangle: NDArray[np.int32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
 
 
 class Body:
@@ -83,19 +65,20 @@ class Body:
         found: NDArray[np.float32] = self._scene.run(starts, local, query="DISTANCE")
         return found
 
-    def cast(self, start: Array, directions: Array, rotation: NDArray[np.float32]) -> Hits:
-        """Return the first hits of rays; arguments as for `depths`."""
-        starts, local = _moved_into(start, directions, rotation)
-        hit = self._scene.run(starts, local, output=1)
-        return Hits(hit["tfar"], hit["primID"], hit["u"], hit["v"])
+    def colours(
+        self, start: Array, directions: Array, rotation: NDArray[np.float32]
+    ) -> NDArray[np.uint8]:
+        """Return the shaded colour (K, 3) where rays, all of which meet the object, do so first.
 
-    def colours(self, hits: Hits, rotation: Array) -> NDArray[np.uint8]:
-        """Return the shaded colour (K, 3) of hits that all met the object."""
+        Arguments are those of `depths`.
+        """
+        hit = self._scene.run(*_moved_into(start, directions, rotation), output=1)
+        triangle = hit["primID"]
         n = self._rows
-        i = np.minimum((hits.u * n).astype(np.intp), n - 1)
-        j = np.clip((hits.v * n).astype(np.intp), 0, n - 1 - i)
-        base = self._texels[hits.triangle, i * n - i * (i - 1) // 2 + j]
-        normals = self._normals[hits.triangle] @ rotation.T
+        i = np.minimum((hit["u"] * n).astype(np.intp), n - 1)
+        j = np.clip((hit["v"] * n).astype(np.intp), 0, n - 1 - i)
+        base = self._texels[triangle, i * n - i * (i - 1) // 2 + j]
+        normals = self._normals[triangle] @ rotation.T
         shade = 0.55 + 0.45 * np.abs(normals @ _LIGHT)
         return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
 

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -105,7 +104,7 @@ class SubEnv:
         self.result = Acted(0.0, False, False, {})
         self._env, self._quarantine = env, quarantine
         self._same_step, self._no_reward = same_step, no_reward
-        self._heap, self._occlusion = 0, 1.0
+        self._heap = 0
         self._beginning: Begin | None = None
         self._failed_starts = 0
 
@@ -117,7 +116,7 @@ class SubEnv:
         """
         if seed is not None or self.rng is None:
             self.rng, _ = seeding.np_random(seed)
-        self.result = Acted(0.0, False, False, {})
+        self.result, self.over = Acted(0.0, False, False, {}), True
         return self._begin(options)
 
     def act(self, action: Array) -> Act:
@@ -139,12 +138,11 @@ class SubEnv:
         assert isinstance(value, Acted)
         self.result = value
         self.over = value.terminated or value.truncated
-        self._occlusion = value.info["occlusion"]
         return self._begin_next() if self.over and self._same_step else None
 
-    def _begin(self, options: Mapping[str, Any]) -> Begin:
+    def _begin(self, options: Mapping[str, Any], failed_starts: int = 0) -> Begin:
         assert self.rng is not None
-        self.over, self._failed_starts = True, 0
+        self._failed_starts = failed_starts
         heap = self._quarantine.draw(self.rng, options.get("heap"))
         self._beginning = Begin(self._env, heap, self.rng, options)
         return self._beginning
@@ -165,7 +163,6 @@ class SubEnv:
         self._keep()
         self._beginning, self.over = None, False
         self.rng, self._heap = value.rng, begin.heap
-        self._occlusion = value.info["occlusion"]
         self.result.info.update(value.info)
         return None
 
@@ -182,16 +179,13 @@ class SubEnv:
                 f"no episode begins, tried {self._failed_starts} times; the last time on heap "
                 f"{name}: {failure.reason}"
             )
-        assert self.rng is not None
-        heap = self._quarantine.draw(self.rng, begin.options.get("heap"))
-        self._beginning = replace(begin, heap=heap, rng=self.rng)
-        return self._beginning
+        return self._begin(begin.options, self._failed_starts)
 
     def _failed(self, failure: Failure) -> Acted:
         """Return the end of an episode whose worker failed: truncated, without reward."""
         info = {
             "reward_terms": dict(self._no_reward),
-            "occlusion": self._occlusion,
+            "occlusion": self.result.info["occlusion"],
             "end": f"failure: {failure.reason}",
             "failure": failure.reason,
             "clutter_moved": 0.0,
