@@ -32,7 +32,6 @@ from mechsearch.types import (
 
 _WORLDS_KEPT = 8
 
-
 _LEAST = {
     "max_actions": 1, "start_distance": 0, "uncovered_at": 0, "physics.action_steps": 1,
     "physics.rest_steps": 0, "physics.solver_iterations": 1, "physics.sleep_speed": 0,

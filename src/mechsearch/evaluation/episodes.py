@@ -6,6 +6,7 @@ stays inside [0, 1] and does not shrink to a point when all episodes end alike.
 """
 
 import csv
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_whole
+from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_text, write_whole
 from mechsearch.types import Array, Floats, MechSearchError
 
 EPISODE_FORMAT = 1
@@ -419,16 +420,13 @@ def merge_summary(path: Path, new: Iterable[SummaryRow]) -> list[SummaryRow]:
     Raises:
         MechSearchError: If the file is there but is not a summary.
     """
-
-    def write(partial: Path) -> None:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerows([SUMMARY_COLUMNS, *map(_cells, merged)])
-
     with locked(path):
         rows = [*(read_summary(path) if path.exists() else []), *new]
         merged = [row for _, row in sorted({row.key: row for row in rows}.items())]
-        write_whole(path, write)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows([SUMMARY_COLUMNS, *map(_cells, merged)])
+        write_text(path, text.getvalue())
     return merged
 
 

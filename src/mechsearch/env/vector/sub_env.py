@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from mechsearch.env.vector.hosting import Act, Acted, Begin, Begun
+from mechsearch.env.vector.hosting import Acted, Begin, Begun
 from mechsearch.processes import Failure
 from mechsearch.types import Array, MechSearchError
 
@@ -118,10 +118,6 @@ class SubEnv:
             self.rng, _ = seeding.np_random(seed)
         self.result, self.over = Acted(0.0, False, False, {}), True
         return self._begin(options)
-
-    def act(self, action: Array) -> Act:
-        """Return the request that executes an action (3,)."""
-        return Act(self._env, action)
 
     def take(self, value: Begun | Acted | Failure) -> Begin | None:
         """Take a reply; return what must be asked before the turn's outcome is complete.

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from mechsearch.env.heap_env import HeapEnv, make_env
-from mechsearch.env.vector.hosting import Hosts, Look
+from mechsearch.env.vector.hosting import Act, Hosts, Look
 from mechsearch.env.vector.sub_env import Quarantine, SubEnv
 from mechsearch.processes import PROCESSORS, Failure
 from mechsearch.types import Array, MechSearchError
@@ -171,7 +171,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             )
         for i, action in zip(envs, actions, strict=True):
             self._turn.append(i)
-            self._hosts.ask(self._sub_envs[i].act(action))
+            self._hosts.ask(Act(i, action))
 
     def receive(self, count: int) -> tuple[Array, Batch]:
         """Return what the actions sent longest ago led to.
