@@ -11,9 +11,7 @@ from benchmarks.settings import Settings
 from benchmarks.workload import Episode
 from mechsearch.camera import preset
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.pusher import Pusher, pusher_model
-from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
 from mechsearch.sim.world import World
 
 PHYSICS = {

@@ -10,8 +10,8 @@ from pathlib import Path
 from benchmarks import machine
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
+from mechsearch.heaps.dataset import CONDITIONS
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.heaps.heap import CONDITIONS
 
 _SETS = {"single": 3000, "dual": 1200}
 """Heaps of the paper's two sets."""

@@ -13,7 +13,7 @@ from benchmarks.settings import Settings
 from benchmarks.workload import Episode
 from mechsearch.camera import Camera, preset
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import Pusher, pusher_model
 
 _STATES = 8
 """States of each heap: those after pushes that moved something, so nothing can be reused."""

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from mechsearch.env.heap_env import HeapEnvConfig
 from mechsearch.geometry import quaternion_product, rotation_from_quaternion
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.types import Array, Floats
 
 RATE = 240

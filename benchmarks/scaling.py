@@ -16,8 +16,8 @@ from benchmarks.action import PEER, time_ours, time_peer
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
 from benchmarks.workload import Workload
+from mechsearch.heaps.dataset import Heap
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.heaps.heap import Heap
 
 _LARGE = (20, 30, 40)
 _SIDES = (32, 64, 128, 256)

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.geometry import cap_length
-from mechsearch.heaps.dataset import HeapSet, load_heaps, save_heaps
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap, HeapSet, embedded_heaps, load_heaps, save_heaps
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.teachers import PAPER_TEACHERS, make_teacher

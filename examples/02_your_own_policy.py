@@ -6,7 +6,7 @@ From the command line the same is `mechsearch evaluate my_module:make_policy --h
 import numpy as np
 
 from mechsearch import make_env, make_policy
-from mechsearch.evaluation.metrics import score
+from mechsearch.evaluation.episodes import score
 from mechsearch.evaluation.rollout import run
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.workload import Workload
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap
 from mechsearch.types import Array
 
 ENDS = ("uncovered", "action limit", "lost")

@@ -54,12 +54,7 @@ SUBJECTS = (
     ),
     Subject(
         "mechsearch.render.visibility",
-        ("place", "_turn", "overlaps", "rays", "blocks", "_directions"),
-        ("tests/render/test_visibility.py", "tests/render/test_renderer.py"),
-    ),
-    Subject(
-        "mechsearch.render.body",
-        ("depths", "_moved_into"),
+        ("place", "_turn", "overlaps", "rays", "blocks", "_directions", "depths", "_moved_into"),
         ("tests/render/test_visibility.py", "tests/render/test_renderer.py"),
     ),
     Subject(

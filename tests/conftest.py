@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 
 

@@ -12,9 +12,8 @@ from PIL import Image
 
 from mechsearch.cli import COMMANDS, main
 from mechsearch.cli.evaluation import file_name, named
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import METRICS, Evaluation
 from mechsearch.files import read_record, write_record
 from mechsearch.types import MechSearchError
 
@@ -194,7 +193,7 @@ def test_scores_are_recorded_and_entered_into_the_summary(scores: Path) -> None:
         evaluation = episodes.load_episodes(scores / f"{policy}.npz")
         assert evaluation.header["name"] == policy
         assert len(evaluation.episodes) == 2
-    rows = summary.read(scores / "summary.csv")
+    rows = episodes.read_summary(scores / "summary.csv")
     assert len(rows) == 2 * len(METRICS)
     assert {(row.condition, row.actions, row.seed) for row in rows} == {("single", 0, 0)}
 
@@ -261,7 +260,7 @@ def test_a_run_is_trained_continued_evaluated_and_packed(
     main([*words, "--limit", "1", "--summary", str(table)])
     header = episodes.load_episodes(out / "debug-seed5-14.npz").header
     assert (header["trained"], header["training_actions"]) == (True, 14)
-    assert {(row.variant, row.seed, row.actions) for row in summary.read(table)} == {
+    assert {(row.variant, row.seed, row.actions) for row in episodes.read_summary(table)} == {
         ("debug", 5, 14)
     }
     main(["report", str(out), str(run), "--out", str(tmp_path / "r.html"), "--no-pictures"])

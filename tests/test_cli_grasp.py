@@ -10,8 +10,8 @@ pytest.importorskip("torch")
 import torch
 
 from mechsearch.cli import main
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, score
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, score
 from mechsearch.grasp.network import GraspNetwork, save_network
 
 
@@ -141,7 +141,7 @@ def test_an_evaluation_measures_graspability_and_retrieval(
     main([*words, "--grasp-network", str(network)])
     said = capsys.readouterr().out
     assert "Graspability and retrieval of the target" in said
-    rows = {(row.variant, row.metric): row for row in summary.read(tmp_path / "s.csv")}
+    rows = {(row.variant, row.metric): row for row in episodes.read_summary(tmp_path / "s.csv")}
     for policy in ("idle", "teacher-spiral"):
         assert {metric for variant, metric in rows if variant == policy} == {
             *METRICS,

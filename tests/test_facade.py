@@ -19,7 +19,7 @@ def test_an_unknown_name_is_no_attribute():
 
 
 @pytest.mark.parametrize(
-    "module", ["env.register", "evaluation.rollout", "findings.analysis", "report.contents", "cli"]
+    "module", ["env.heap_env", "evaluation.rollout", "findings.analysis", "report.contents", "cli"]
 )
 def test_the_base_install_needs_no_torch(module):
     code = f"import sys, mechsearch.{module}; assert 'torch' not in sys.modules"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.evaluation import episodes, summary
+from mechsearch.evaluation import episodes
 from mechsearch.files import read_json
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.network import load_network
@@ -37,7 +37,7 @@ READERS = {
     "grasp.safetensors": load_network,
     "grasp.npz": load_network,
     "masses.csv": read_masses,
-    "summary.csv": summary.read,
+    "summary.csv": episodes.read_summary,
     "object.npz": model_from_npz,
     "mesh.obj": read_pieces,
     "mesh.stl": read_pieces,

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig
-    from mechsearch.env.register import make_env, make_vector_env
+    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, make_env
     from mechsearch.env.reward import RewardConfig
-    from mechsearch.env.vector.vector_env import VectorHeapEnv
+    from mechsearch.env.vector.vector_env import VectorHeapEnv, make_vector_env
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate
     from mechsearch.heaps.dataset import load_heaps
@@ -40,8 +39,8 @@ _PLACES = {
     "generate": "heaps.generate:generate",
     "load_heaps": "heaps.dataset:load_heaps",
     "load_object_set": "objects.catalog:load_object_set",
-    "make_env": "env.register:make_env",
-    "make_vector_env": "env.register:make_vector_env",
+    "make_env": "env.heap_env:make_env",
+    "make_vector_env": "env.vector.vector_env:make_vector_env",
     "make_policy": "evaluation.policies:make_policy",
     "run_config": "training.config:run_config",
     "train": "training.run:train",
@@ -71,8 +70,8 @@ __all__ = [
 for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):
     gymnasium.register(
         f"mechsearch/{_name}-v0",
-        entry_point="mechsearch.env.register:make_env",
-        vector_entry_point="mechsearch.env.register:make_vector_env",
+        entry_point="mechsearch.env.heap_env:make_env",
+        vector_entry_point="mechsearch.env.vector.vector_env:make_vector_env",
         kwargs={"condition": _condition},
     )
 

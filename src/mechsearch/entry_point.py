@@ -1,5 +1,6 @@
 """What users name as `package.module:name`: policies, teachers, rewards and algorithms."""
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -32,4 +33,25 @@ def load_entry_point(spec: str, purpose: str) -> Any:
         public = [key for key, value in vars(module).items() if callable(value)]
         names = ", ".join(key for key in sorted(public) if not key.startswith("_")) or "none"
         raise MechSearchError(f"{module_name} has no function or class {name!r}; it has {names}")
+    return found
+
+
+def conforming(found: Any, purpose: str, spec: str, members: Sequence[str]) -> Any:
+    """Return what a user gave, once it is certain that it has all that a protocol asks for.
+
+    Args:
+        found: What was given.
+        purpose: What it is for, as in `load_entry_point`.
+        spec: Its name in errors.
+        members: Of its protocol, methods with their arguments, such as "act(obs)".
+
+    Raises:
+        MechSearchError: If it is none, naming what it lacks.
+    """
+    missing = [name for m in members if not hasattr(found, name := m.partition("(")[0])]
+    if missing:
+        raise MechSearchError(
+            f"{purpose} {spec!r} gives a {type(found).__name__} without {', '.join(missing)}; "
+            f"a {purpose} has {', '.join(members[:-1])} and {members[-1]}"
+        )
     return found

@@ -19,6 +19,7 @@ RGB_ACTOR_KEYS = ("depth", "rgb", "target_label", "ee_position")
 PRIVILEGED_KEYS = ("target_offset", "clutter_offsets", "clutter_mask")
 """What only a simulator knows (paper, section III-C): object positions relative to the effector."""
 
+IMAGE_KEYS = frozenset({"depth", "position_image", "rgb"})
 TEACHER_KEYS = ("ee_position", *PRIVILEGED_KEYS)
 
 ACTION_LENGTH = 0.05

@@ -8,7 +8,7 @@ from benchmarks.peer_camera import PeerCamera
 from benchmarks.workload import Workload
 from mechsearch.camera import preset
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.sim.world import World
 
 CUBE = np.array([[0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0]])

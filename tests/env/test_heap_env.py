@@ -3,7 +3,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.observe.position_image import position_image
+from mechsearch.observe.observation import position_image
 from mechsearch.teachers import make_teacher
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
 

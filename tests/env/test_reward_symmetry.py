@@ -9,8 +9,7 @@ import mechsearch
 from mechsearch.camera import preset
 from mechsearch.env.reward import terms
 from mechsearch.geometry import quaternion_product, yaw_quaternion
-from mechsearch.render.body import Body
-from mechsearch.render.visibility import occlusion
+from mechsearch.render.visibility import Body, occlusion
 
 CAMERA = preset("overhead")
 HEAPS = (0, 20, 40)

@@ -12,13 +12,11 @@ from mechsearch.env.heap_env import (
     HeapEnv,
     HeapEnvConfig,
     TaskConfig,
-    differing,
     task_from_json,
 )
 from mechsearch.env.reward import RewardConfig
-from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.sim.workspace import Workspace
+from mechsearch.evaluation.rollout import differing
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 FIXED = {"heap": 0, "fixed_start": True}

@@ -4,7 +4,8 @@ import pytest
 from mechsearch.camera import preset
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.trial import from_start, imageless, roll_out
-from mechsearch.pushes import PlannedPush, draw_pushes, look
+from mechsearch.pushes.push import draw_pushes
+from mechsearch.pushes.view import PlannedPush, look
 from mechsearch.teachers import make_teacher
 from mechsearch.types import TEACHER_KEYS
 

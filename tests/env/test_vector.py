@@ -42,7 +42,7 @@ class TroubledEnv(HeapEnv):
 
     def _misbehave(self):
         trouble = json.loads(os.environ.get("TROUBLE", "{}"))
-        if trouble.get("heap") != self.heap.seed or trouble["at"] != self.actions_taken:
+        if trouble.get("heap") != self.heap.seed or trouble["at"] != self._actions:
             return
         lives = sorted(Path(trouble["folder"]).iterdir())
         if not lives:

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.evaluation.episodes import GraspRecord
-from mechsearch.evaluation.metrics import (
+from mechsearch.evaluation.episodes import (
     METRICS,
+    GraspRecord,
     mean_interval,
     measure,
     score,

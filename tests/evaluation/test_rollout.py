@@ -14,7 +14,7 @@ from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
 from mechsearch.heaps import dataset
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.sim.scene import PhysicsConfig
 from mechsearch.types import MechSearchError

@@ -4,7 +4,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from mechsearch.env.register import embedded_heaps, make_env
+from mechsearch.env.heap_env import make_env
 from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     card,
@@ -13,6 +13,7 @@ from mechsearch.evaluation.policies import (
     shipped_file,
 )
 from mechsearch.evaluation.rollout import run_episode
+from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.types import MechSearchError
 
 needs_torch = pytest.mark.skipif(

@@ -6,10 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.evaluation import summary
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import METRICS
-from mechsearch.evaluation.summary import SummaryRow
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import METRICS, Evaluation, SummaryRow
 from mechsearch.types import MechSearchError
 
 HEADER = "experiment,condition,variant,seed,actions,metric,mean,ci_low,ci_high\n"
@@ -26,13 +24,13 @@ ROW = SummaryRow("main", "single", "method", 0, 8000, "reward", -15.25, -16.5, -
 
 def test_there_is_one_row_for_each_metric(make_episode) -> None:
     evaluation = Evaluation(HEADER_OF, (make_episode(1), make_episode(2)))
-    rows = summary.rows_of("main", evaluation)
+    rows = episodes.summary_rows("main", evaluation)
     assert tuple(row.metric for row in rows) == METRICS
     assert all(row.ci_low <= row.mean <= row.ci_high for row in rows)
 
 
 def test_the_file_is_plain_csv(tmp_path: Path) -> None:
-    summary.merge(tmp_path / "summary.csv", [ROW])
+    episodes.merge_summary(tmp_path / "summary.csv", [ROW])
     text = (tmp_path / "summary.csv").read_text()
     assert text == HEADER + "main,single,method,0,8000,reward,-15.25,-16.5,-14\n"
 
@@ -40,10 +38,10 @@ def test_the_file_is_plain_csv(tmp_path: Path) -> None:
 def test_merging_replaces_rows_of_the_same_name_and_keeps_the_others(tmp_path: Path) -> None:
     path = tmp_path / "summary.csv"
     other_seed = replace(ROW, seed=1)
-    summary.merge(path, [other_seed, ROW])
-    merged = summary.merge(path, [replace(ROW, mean=-15.0)])
+    episodes.merge_summary(path, [other_seed, ROW])
+    merged = episodes.merge_summary(path, [replace(ROW, mean=-15.0)])
     assert merged == [replace(ROW, mean=-15.0), other_seed]
-    assert summary.read(path) == merged
+    assert episodes.read_summary(path) == merged
 
 
 names = st.text("ab,;\"' -é", min_size=1, max_size=8)
@@ -69,19 +67,19 @@ table = st.lists(
 @given(table, table)
 def test_merging_is_idempotent_and_sorted(tmp_path_factory, first: list, second: list) -> None:
     path = tmp_path_factory.mktemp("summary") / "summary.csv"
-    summary.merge(path, first)
-    once = summary.merge(path, second)
+    episodes.merge_summary(path, first)
+    once = episodes.merge_summary(path, second)
     before = path.read_bytes()
-    assert summary.merge(path, second) == once == sorted(once, key=lambda row: row.key)
+    assert episodes.merge_summary(path, second) == once == sorted(once, key=lambda row: row.key)
     assert path.read_bytes() == before
-    assert summary.read(path) == once
+    assert episodes.read_summary(path) == once
     assert {row.key for row in once} == {row.key for row in first + second}
 
 
 def test_an_interval_that_does_not_exist_survives_the_file(tmp_path: Path) -> None:
     nothing = float("nan")
-    summary.merge(tmp_path / "s.csv", [replace(ROW, ci_low=nothing, ci_high=nothing)])
-    assert all(row.ci_low != row.ci_low for row in summary.read(tmp_path / "s.csv"))
+    episodes.merge_summary(tmp_path / "s.csv", [replace(ROW, ci_low=nothing, ci_high=nothing)])
+    assert all(row.ci_low != row.ci_low for row in episodes.read_summary(tmp_path / "s.csv"))
 
 
 @pytest.mark.parametrize(
@@ -99,19 +97,19 @@ def test_a_file_that_is_no_summary_is_refused_and_kept(
     path = tmp_path / "summary.csv"
     path.write_text(text)
     with pytest.raises(MechSearchError, match=message):
-        summary.merge(path, [ROW])
+        episodes.merge_summary(path, [ROW])
     assert path.read_text() == text
     assert [file for file in tmp_path.iterdir() if file.suffix != ".lock"] == [path]
 
 
 def test_a_missing_summary_is_named(tmp_path: Path) -> None:
     with pytest.raises(MechSearchError, match="no summary at"):
-        summary.read(tmp_path / "summary.csv")
+        episodes.read_summary(tmp_path / "summary.csv")
 
 
 def merge_rows(path: Path, seed: int) -> None:
     for actions in range(15):
-        summary.merge(path, [replace(ROW, seed=seed, actions=actions)])
+        episodes.merge_summary(path, [replace(ROW, seed=seed, actions=actions)])
 
 
 def test_processes_that_merge_at_once_lose_no_row(tmp_path: Path) -> None:
@@ -123,4 +121,4 @@ def test_processes_that_merge_at_once_lose_no_row(tmp_path: Path) -> None:
     for process in crew:
         process.join()
     assert [process.exitcode for process in crew] == [0] * 2
-    assert len(summary.read(path)) == 30
+    assert len(episodes.read_summary(path)) == 30

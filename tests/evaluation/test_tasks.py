@@ -11,12 +11,11 @@ import mechsearch
 from mechsearch.cli import main
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.env.register import embedded_file
 from mechsearch.env.reward import RewardConfig
 from mechsearch.evaluation.episodes import load_episodes
 from mechsearch.evaluation.policies import IdlePolicy, check_view, task_of
-from mechsearch.evaluation.rollout import EvaluationPlan, in_task
-from mechsearch.evaluation.verify import differences
+from mechsearch.evaluation.rollout import EvaluationPlan, in_task, record_differences
+from mechsearch.heaps.dataset import embedded_file
 from mechsearch.types import MechSearchError
 
 TASK = TaskConfig("tilted", 48, max_actions=9, reward=RewardConfig(movement=100.0))
@@ -109,7 +108,7 @@ def test_what_is_said_is_named_and_python_gives_the_commands_bits(tmp_path: Path
     task = TaskConfig("tilted", max_actions=4, reward=RewardConfig(movement=100.0))
     found = mechsearch.evaluate("random", limit=1, seed=3, task=task)
     assert found.header == recorded.header
-    assert differences(recorded.episodes[0], found.episodes[0]) == ()
+    assert record_differences(recorded.episodes[0], found.episodes[0]) == ()
 
 
 def test_a_policy_of_ones_own_is_evaluated_as_it_is():

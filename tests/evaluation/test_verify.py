@@ -7,8 +7,7 @@ import pytest
 from mechsearch.cli import main
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
-from mechsearch.evaluation.verify import replay_all
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, replay_all
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.types import MechSearchError
 

@@ -2,7 +2,7 @@ import csv
 
 import pytest
 
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation.episodes import METRICS
 from mechsearch.experiments.folder import write_curves
 from mechsearch.files import CONFIG_FILE
 from mechsearch.training.config import run_config, save_config

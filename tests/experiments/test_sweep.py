@@ -20,8 +20,7 @@ from mechsearch.cli import main
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.env.reward import RewardConfig
 from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import Evaluation, load_episodes
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation.episodes import METRICS, Evaluation, load_episodes
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.jobs import Scoring
 from mechsearch.experiments.journal import (

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.metrics import Estimate
+from mechsearch.evaluation.episodes import Estimate
 from mechsearch.findings.claims import (
     GOALS,
     PAPER,

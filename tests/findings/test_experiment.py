@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.episodes import load_episodes, save_episodes
-from mechsearch.evaluation.metrics import measure
+from mechsearch.evaluation.episodes import load_episodes, measure, save_episodes
 from mechsearch.findings.experiment import ordered, read_experiment
 from mechsearch.types import MechSearchError
 

@@ -1,6 +1,6 @@
 import pytest
 
-from mechsearch.evaluation.metrics import METRICS, Estimate, score, score_by_count
+from mechsearch.evaluation.episodes import METRICS, Estimate, score, score_by_count
 from mechsearch.findings import tables
 from mechsearch.findings.tables import MINUS, Table
 

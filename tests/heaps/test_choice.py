@@ -3,8 +3,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.env.register import embedded_heaps
-from mechsearch.heaps.heap import evenly_spread
+from mechsearch.heaps.dataset import embedded_heaps, evenly_spread
 
 
 def test_half_of_ten_is_every_second() -> None:

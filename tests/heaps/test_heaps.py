@@ -6,16 +6,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from mechsearch.env.register import embedded_heaps, make_env
+from mechsearch.env.heap_env import make_env
 from mechsearch.heaps.dataset import (
     check_objects,
+    embedded_heaps,
     heap_from_json,
     heap_to_json,
     load_heaps,
     save_heaps,
-    verify,
 )
-from mechsearch.heaps.generate import GenerateConfig, attempt, generate
+from mechsearch.heaps.generate import GenerateConfig, attempt, generate, verify
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import Failure
 from mechsearch.types import MechSearchError

@@ -3,8 +3,7 @@ import pytest
 
 from mechsearch.camera import preset
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.observe.observation import KEYS
-from mechsearch.observe.position_image import position_image
+from mechsearch.observe.observation import KEYS, position_image
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError, select
 

@@ -19,9 +19,8 @@ if importlib.util.find_spec("ray") is None:
 import ray
 
 from mechsearch.cli import main
-from mechsearch.env.register import embedded_heaps
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
-from mechsearch.heaps.dataset import load_heaps, save_heaps
+from mechsearch.heaps.dataset import embedded_heaps, load_heaps, save_heaps
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.processes.ray_cluster import connected, ray_map
 from mechsearch.types import MechSearchError

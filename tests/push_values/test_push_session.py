@@ -20,7 +20,7 @@ from mechsearch.files import (
 from mechsearch.findings.runs import read_run
 from mechsearch.push_values.session import PushValuesSession, load_episode
 from mechsearch.push_values.value import PushValueConfig
-from mechsearch.pushes import draw_pushes
+from mechsearch.pushes.push import draw_pushes
 from mechsearch.report.learning import draw_training
 from mechsearch.training.config import run_config
 from mechsearch.training.loop import learn

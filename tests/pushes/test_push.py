@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.pushes import KINDS, Push, draw_pushes
+from mechsearch.pushes.push import KINDS, Push, draw_pushes
 from mechsearch.types import MechSearchError
 
 CENTRE = np.array([0.1, -0.05, 0.04])

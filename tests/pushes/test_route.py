@@ -3,7 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.pushes import PlannedPush, Push, Route, RouteConfig, draw_pushes, straight
+from mechsearch.pushes.push import Push, draw_pushes, straight
+from mechsearch.pushes.route import Route, RouteConfig
+from mechsearch.pushes.view import PlannedPush
 from mechsearch.types import ACTION_LENGTH, MechSearchError
 
 

@@ -6,7 +6,7 @@ from mechsearch.camera import preset
 from mechsearch.geometry import random_quaternion
 from mechsearch.objects.model import ObjectSet
 from mechsearch.render.renderer import BACKGROUND, PUSHER, Renderer
-from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.sim.world import World
 from mechsearch.types import MechSearchError
 

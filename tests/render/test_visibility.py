@@ -5,9 +5,8 @@ from hypothesis import strategies as st
 
 from mechsearch.camera import Camera, preset
 from mechsearch.geometry import random_quaternion, yaw_quaternion
-from mechsearch.render.body import body_of
 from mechsearch.render.renderer import Renderer
-from mechsearch.render.visibility import Projection, occlusion
+from mechsearch.render.visibility import Projection, body_of, occlusion
 
 CAMERA = preset("overhead")
 

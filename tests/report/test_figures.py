@@ -3,8 +3,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from mechsearch.evaluation import summary
-from mechsearch.evaluation.metrics import score
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import score
 from mechsearch.report.figures import draw_scores, draw_summary, to_svg
 from mechsearch.types import MechSearchError
 
@@ -16,9 +16,9 @@ def test_scores_are_drawn_the_same_each_time(evaluations) -> None:
     assert ElementTree.fromstring(drawn).tag.endswith("svg")
 
 
-def rows_of(evaluations, **facts: object) -> list[summary.SummaryRow]:
+def rows_of(evaluations, **facts: object) -> list[episodes.SummaryRow]:
     method = evaluations["method"]
-    return summary.rows_of("main", replace(method, header={**method.header, **facts}))
+    return episodes.summary_rows("main", replace(method, header={**method.header, **facts}))
 
 
 def test_a_summary_has_one_dot_for_every_seed_and_metric(evaluations) -> None:

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.env.register import embedded_heaps
+from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.objects.household.object_set import household
-from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.scene import PhysicsConfig
+from mechsearch.sim.scene import PhysicsConfig, Pusher
 from mechsearch.sim.travel import Outlines, clear_steps, free_travel
 from mechsearch.sim.world import AWAKE, World
 

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.sim.pusher import Pusher, pusher_model
-from mechsearch.sim.scene import PhysicsConfig, Wall
-from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, pusher_model
 from mechsearch.sim.world import AWAKE, REST_LIMIT, World, drift, settle
 
 REST = [0, 0, 0.03, 1, 0, 0, 0]

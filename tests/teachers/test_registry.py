@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation.policies import make_policy, policy_names
-from mechsearch.pushes import straight
+from mechsearch.pushes.push import straight
 from mechsearch.teachers import PAPER_TEACHERS, TEACHERS, PushTeacher, Teacher, make_teacher
 from mechsearch.types import TEACHER_KEYS, MechSearchError
 
@@ -32,7 +32,7 @@ class Forgetful:
 """
 
 WHAT_NAMES_TEACHERS = """
-from mechsearch.evaluation.look_ahead import SHAPES
+from mechsearch.evaluation.policies import SHAPES
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.findings.claims import GOALS, PAPER
 from mechsearch.training.config import PRESETS

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from mechsearch.pushes import spiral, straight, zigzag
+from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import PAPER_TEACHERS, PushTeacher, make_teacher
 from mechsearch.types import ACTION_LENGTH, TEACHER_KEYS, Policy
 

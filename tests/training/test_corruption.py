@@ -30,7 +30,7 @@ from mechsearch.push_values.algorithm import PushValues
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.push_values.value import Continuation, PushSamples, PushValue, PushValueConfig
-from mechsearch.pushes import NUMBERS, PATCH
+from mechsearch.pushes.view import NUMBERS, PATCH
 from mechsearch.training import run_directory
 from mechsearch.training.config import load_config
 from mechsearch.training.loop import learn

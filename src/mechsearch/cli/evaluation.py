@@ -14,9 +14,17 @@ from mechsearch.cli.command import WORKERS, Command, bars, models_of, open_mappe
 from mechsearch.cli.graspability import retrieval_table
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.metrics import METRICS, score, score_by_count
+from mechsearch.evaluation.episodes import (
+    METRICS,
+    EpisodeRecord,
+    Evaluation,
+    load_episodes,
+    merge_summary,
+    save_episodes,
+    score,
+    score_by_count,
+    summary_rows,
+)
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name, in_task
 from mechsearch.files import check_place, write_whole
 from mechsearch.findings import tables
@@ -25,7 +33,7 @@ from mechsearch.findings.scores import ranked_heaps
 from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
 from mechsearch.pictures.video import FORMATS, write_film
 from mechsearch.processes import Mapper
-from mechsearch.sim.pusher import Pusher, pusher_model
+from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
 _TaskOptions: Any = optional(TaskConfig)
@@ -112,7 +120,7 @@ class Evaluate(Command):
                     write(evaluation, self.out)
                 evaluations.append(evaluation)
                 if self.summary:
-                    summary.merge(self.summary, summary.rows_of(self.experiment, evaluation))
+                    merge_summary(self.summary, summary_rows(self.experiment, evaluation))
         self._print(named(evaluations))
         wrote(self.out)
 
@@ -182,7 +190,7 @@ class ShowEpisode(Command):
             raise MechSearchError(
                 f"unknown format {self.out.suffix!r}; choose one of .png, {', '.join(FORMATS)}"
             )
-        evaluation = episodes.load_episodes(self.episodes)
+        evaluation = load_episodes(self.episodes)
         record = self._episode(evaluation)
         models = models_of(evaluation, self.objects)
         config = FilmConfig(self.camera, self.size)
@@ -225,7 +233,7 @@ def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> 
 
 def write(evaluation: Evaluation, folder: Path) -> None:
     """Write the episodes of an evaluation into a folder."""
-    episodes.save_episodes(folder / f"{file_name(evaluation)}.npz", evaluation)
+    save_episodes(folder / f"{file_name(evaluation)}.npz", evaluation)
 
 
 def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:

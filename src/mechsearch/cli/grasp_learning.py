@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
-from mechsearch.evaluation import episodes
+from mechsearch.evaluation.rollout import load_some
 from mechsearch.files import write_json, write_text
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.learning.grasp_set import load_grasps
@@ -168,7 +168,7 @@ class CalibrateGrasps(Command):
         """Try, fit, test and print."""
         states = []
         for path in self.episodes:
-            evaluation = episodes.load_some(path, self.limit)
+            evaluation = load_some(path, self.limit)
             models_of(evaluation, self.objects)
             spec = self.objects or str(evaluation.header["object_set"])
             states += [(spec, record) for record in evaluation.episodes]

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.metrics import score
+from mechsearch.evaluation.episodes import Evaluation, score
 from mechsearch.findings.tables import Table, cell
 
 

@@ -12,7 +12,7 @@ from mechsearch.findings.tables import Table, to_text
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.grasp_view import check_opening, view_of_heap
 from mechsearch.grasp.graspability import rate
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap
 from mechsearch.pictures.canvas import tiled
 from mechsearch.pictures.grasps import draw_grasps
 from mechsearch.pictures.lift import lift_strip

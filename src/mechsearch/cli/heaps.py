@@ -9,8 +9,8 @@ import tyro
 from mechsearch.cli.command import WORKERS, Command, bars, open_mapper, say, wrote
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps, verify
-from mechsearch.heaps.generate import GenerateConfig, generate
+from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps
+from mechsearch.heaps.generate import GenerateConfig, generate, verify
 from mechsearch.pictures.sheet import heap_sheet
 
 

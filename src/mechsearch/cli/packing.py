@@ -9,9 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from mechsearch.cli.command import Command, wrote
-from mechsearch.evaluation import episodes
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.summary import rows_of
+from mechsearch.evaluation.episodes import Evaluation, load_episodes, summary_rows
 from mechsearch.files import (
     CONFIG_FILE,
     INPUTS_FILE,
@@ -45,7 +43,7 @@ class Pack(Command):
             raise MechSearchError(f"weights are written to a .safetensors file, not {self.out}")
         check_place(self.out)
         policy = load_policy(self.run_directory)
-        evaluation = episodes.load_episodes(self.scores)
+        evaluation = load_episodes(self.scores)
         card = self._card(evaluation, policy.training_actions)
         save_policy(policy, self.out)
         weights = hashlib.sha256(self.out.read_bytes()).hexdigest()
@@ -78,7 +76,7 @@ class Pack(Command):
             "scored_on": {name: header[name] for name in ("heap_set", "split", "heaps", "seed")},
             "scores": {
                 row.metric: [row.mean, row.ci_low, row.ci_high]
-                for row in rows_of("card", evaluation)
+                for row in summary_rows("card", evaluation)
             },
         }
 

@@ -10,8 +10,7 @@ from typing import Annotated
 import tyro
 
 from mechsearch.cli.command import Command, models_of, say, wrote
-from mechsearch.evaluation import summary
-from mechsearch.evaluation.episodes import Evaluation
+from mechsearch.evaluation.episodes import Evaluation, read_summary
 from mechsearch.files import write_text
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
@@ -49,7 +48,7 @@ class Report(Command):
     def run(self) -> None:
         """Write the page or the plot, and say what was found."""
         if [source.suffix for source in self.sources] == [".csv"]:
-            write_text(self.out, to_svg(draw_summary(summary.read(self.sources[0]))))
+            write_text(self.out, to_svg(draw_summary(read_summary(self.sources[0]))))
             wrote(self.out)
             return
         found = analyse(read_experiment(*self.sources))

@@ -10,7 +10,7 @@ import tyro
 from mechsearch.algorithm import A, RunConfig, Schedule
 from mechsearch.cli.command import Command, bars, say, wrote
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.evaluation.metrics import METRICS
+from mechsearch.evaluation.episodes import METRICS
 from mechsearch.files import CONFIG_FILE
 from mechsearch.training.algorithms import ALGORITHMS
 from mechsearch.training.config import PRESETS, load_config, run_config

@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 
 from mechsearch.cli.command import WORKERS, Command, bars, models_of, say
-from mechsearch.evaluation import episodes
-from mechsearch.evaluation.verify import replay_all
+from mechsearch.evaluation.rollout import load_some, replay_all
 from mechsearch.files import crossed, fingerprint
 from mechsearch.types import MechSearchError
 
@@ -42,7 +41,7 @@ class Verify(Command):
             raise SystemExit(1)
 
     def _verify(self, path: Path) -> bool:
-        evaluation = episodes.load_some(path, self.limit)
+        evaluation = load_some(path, self.limit)
         models_of(evaluation, self.objects)
         with bars() as progress:
             found = list(replay_all(evaluation, self.heaps, self.objects, self.workers, progress))

@@ -1,10 +1,11 @@
 """The decision process: nudge a heap until its target is uncovered (paper, section III-A)."""
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import gymnasium
@@ -14,14 +15,11 @@ from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig, reward_of
 from mechsearch.files import record_from_json
 from mechsearch.geometry import cap_length
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
-from mechsearch.render.visibility import occlusion
-from mechsearch.sim.pusher import Pusher, pusher_model
-from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
 from mechsearch.sim.world import World
 from mechsearch.types import (
     ACTION_LENGTH,
@@ -34,13 +32,12 @@ from mechsearch.types import (
 
 _WORLDS_KEPT = 8
 
-
-_LEAST = (
-    ("max_actions", 1), ("start_distance", 0), ("uncovered_at", 0), ("physics.action_steps", 1),
-    ("physics.rest_steps", 0), ("physics.solver_iterations", 1), ("physics.sleep_speed", 0),
-    ("physics.clearance", 0), ("physics.still_speed", 0), ("physics.still_spin", 0),
-    ("workspace.low", 0), ("pusher.friction", 0),
-)  # fmt: skip
+_LEAST = {
+    "max_actions": 1, "start_distance": 0, "uncovered_at": 0, "physics.action_steps": 1,
+    "physics.rest_steps": 0, "physics.solver_iterations": 1, "physics.sleep_speed": 0,
+    "physics.clearance": 0, "physics.still_speed": 0, "physics.still_spin": 0, "workspace.low": 0,
+    "pusher.friction": 0,
+}  # fmt: skip
 _ABOVE_0 = (
     "physics.time_step", "physics.deep_penetration", "physics.explosion_speed", "workspace.half",
     "workspace.table_half", "pusher.radius", "pusher.mass", "pusher.stiffness", "pusher.force",
@@ -77,29 +74,24 @@ class TaskConfig:
     def __post_init__(self) -> None:
         preset(self.camera, self.image_size)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
+        least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
+        bounds = {"workspace.high": workspace.low, "pusher.length": 2 * pusher.radius}
+        more = dict.fromkeys(_ABOVE_0, 0) | bounds
         shares = [0 < share < 1 for share in physics.contact_impedance]
+
+        def at(name: str) -> Any:
+            return attrgetter(name)(self)
+
         rules = [
-            *((name, _at(self, name) >= least, f"at least {least}") for name, least in _LEAST),
-            *((name, _at(self, name) > 0, "more than 0") for name in _ABOVE_0),
+            *((name, at(name) >= bound, f"at least {bound}") for name, bound in least.items()),
+            *((name, at(name) > bound, f"more than {bound}") for name, bound in more.items()),
             ("uncovered_at", self.uncovered_at < 1, "less than 1"),
-            (
-                "physics.contact_time",
-                physics.contact_time >= 2 * physics.time_step,
-                f"two steps of {physics.time_step} s or more",
-            ),
             ("physics.contact_impedance", shares == [True] * 2, "two shares between 0 and 1"),
-            ("workspace.high", workspace.high > workspace.low, f"more than {workspace.low}"),
             ("workspace.floor", workspace.floor <= 0, "at most 0, the table's height"),
-            ("pusher.length", pusher.length > 2 * pusher.radius, f"more than {2 * pusher.radius}"),
         ]
         for name, holds, expected in rules:
-            value = _at(self, name)
-            if not holds or (value in (inf, -inf) and name not in _MAY_BE_INFINITE):
-                raise MechSearchError(f"{name} is {value}; expected {expected}")
-
-
-def _at(task: "TaskConfig", name: str) -> Any:
-    return attrgetter(name)(task)
+            if not holds or (at(name) in (inf, -inf) and name not in _MAY_BE_INFINITE):
+                raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -153,21 +145,6 @@ def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
             )
         data = {**data, "reward": {k: v for k, v in reward.items() if k != "least_occlusion"}}
     return record_from_json(kind, data)
-
-
-def differing(one: TaskConfig, other: TaskConfig) -> tuple[str, ...]:
-    """Return in what another task differs from one, such as "reward.movement 75 -> 100"."""
-    return tuple(_differing(one, other, TaskConfig, ""))
-
-
-def _differing(one: Any, other: Any, kind: Any, prefix: str) -> Iterator[str]:
-    for entry in fields(kind):
-        name, before = prefix + entry.name, getattr(one, entry.name)
-        now = getattr(other, entry.name)
-        if is_dataclass(before):
-            yield from _differing(before, now, before, f"{name}.")
-        elif before != now:
-            yield f"{name} {str(before).removesuffix('.0')} -> {str(now).removesuffix('.0')}"
 
 
 @dataclass(frozen=True)
@@ -275,11 +252,6 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         position = self.world.pusher_position
         return HeapState(self._poses.copy(), position, self._occlusion)
 
-    @property
-    def actions_taken(self) -> int:
-        """Actions in the current episode so far."""
-        return self._actions
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -322,28 +294,31 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         if simulated:
             failure = self._world.failure()
             if failure is not None:
-                return self._end_of_failure(failure)
+                # The last trusted state is shown, and no reward given.
+                self._world.reset(self._poses)
+                return self._result(
+                    self.no_reward, np.zeros(1), 0.0, f"failure: {failure}", failure
+                )
             self._update_poses()
             way = self._poses[:, :3] - poses[:, :3]
             moved = np.sqrt((way * way).sum(axis=1)) * present
             if (self._poses != poses).any():
                 self._occlusion = self._measure_occlusion()
-        clutter = moved[others(self.heap.target, len(moved))]
+        own = self.heap.target
+        clutter, target_moved = moved[others(own, len(moved))], float(moved[own])
         reward = self._reward(
-            before, self._occlusion, clutter, float(moved[self.heap.target]),
+            before, self._occlusion, clutter, target_moved,
             max(map(abs, (command - target).tolist())) > 1e-9, self.config.uncovered_at,
             self.config.reward,
         )  # fmt: skip
-        lost = not self._present[self.heap.target]
-        uncovered = not lost and self._occlusion <= self.config.uncovered_at
-        out_of_actions = self._actions >= self.config.max_actions
-        terminated, truncated = lost or uncovered, out_of_actions and not (lost or uncovered)
-        end = (
-            "lost" if lost else "uncovered" if uncovered else "action limit" if truncated else None
-        )
-        self._over = end is not None
-        info = self._info(reward, clutter, float(moved[self.heap.target]), end, None)
-        return self._observe(), float(sum(reward.values())), terminated, truncated, info
+        end = None
+        if not self._present[own]:
+            end = "lost"
+        elif self._occlusion <= self.config.uncovered_at:
+            end = "uncovered"
+        elif self._actions >= self.config.max_actions:
+            end = "action limit"
+        return self._result(reward, clutter, target_moved, end)
 
     def render(self) -> Array | None:
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
@@ -422,13 +397,9 @@ class HeapEnv(gymnasium.Env[Any, Array]):
     def _measure_occlusion(self) -> float:
         if not self._present[self.heap.target]:
             return 1.0
-        projection = self._renderer.projection(self._camera)
-        # The frame that follows shows the pusher too: placing both at once is cheaper.
-        projection.place(np.concatenate([self._poses, self._pusher_pose()[None]]))
-        return occlusion(
-            self._renderer.bodies, self._camera, self._poses, self.heap.target,
-            present=self._present, projection=projection,
-        )  # fmt: skip
+        return self._renderer.occlusion(
+            self._camera, self._poses, self.heap.target, self._present, self._pusher_pose()
+        )
 
     def _pusher_pose(self) -> Floats:
         return self.config.pusher.pose(self._world.pusher_position)
@@ -438,17 +409,15 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         return self._renderer.frame(camera, self._poses, self._pusher_pose(), colour)
 
     def _observe(self) -> dict[str, Array]:
-        frame = (
-            self._frame(self.config.image_size, self._observer.needs_colour)
-            if self._observer.needs_images
-            else None
-        )
-        heap = self.heap
+        heap, depth, mask, rgb = self.heap, None, None, None
+        if self._observer.needs_images:
+            frame = self._frame(self.config.image_size, self._observer.needs_colour)
+            depth, mask, rgb = frame.depth, frame.modal(heap.target), frame.rgb
         return self._observer.observe(
             Scene(
-                depth=None if frame is None else frame.depth,
-                target_mask=None if frame is None else frame.modal(heap.target),
-                rgb=None if frame is None else frame.rgb,
+                depth=depth,
+                target_mask=mask,
+                rgb=rgb,
                 ee_position=self._world.pusher_position,
                 positions=self._poses[:, :3],
                 present=self._present,
@@ -457,24 +426,16 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             )
         )
 
-    def _end_of_failure(
-        self, failure: str
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """End the episode as truncated; the last trusted state is shown and no reward given."""
-        self._over = True
-        self._world.reset(self._poses)
-        info = self._info(self.no_reward, np.zeros(1), 0.0, f"failure: {failure}", failure)
-        return self._observe(), 0.0, False, True, info
-
-    def _info(
+    def _result(
         self,
         reward: Mapping[str, float],
         clutter: Array,
         target_moved: float,
         end: str | None,
-        failure: str | None,
-    ) -> dict[str, Any]:
-        return {
+        failure: str | None = None,
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        self._over, terminated = end is not None, end in ("lost", "uncovered")
+        info = {
             "reward_terms": dict(reward),
             "occlusion": self._occlusion,
             "end": end,
@@ -482,6 +443,8 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             "clutter_moved": float(clutter.sum()) / max(len(clutter), 1),
             "target_moved": target_moved,
         }
+        truncated = self._over and not terminated
+        return self._observe(), float(sum(reward.values())), terminated, truncated, info
 
 
 def _displacement(action: Array) -> Floats:
@@ -497,3 +460,38 @@ def _displacement(action: Array) -> Floats:
     if not all(map(isfinite, numbers)):
         raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
     return cap_length([min(max(n, -1.0), 1.0) * ACTION_LENGTH for n in numbers], ACTION_LENGTH)
+
+
+def make_env(
+    condition: str = "single",
+    heaps: str | Path | None = None,
+    objects: str = "household",
+    split: str = "train",
+    config: HeapEnvConfig | None = None,
+    render_mode: str | None = None,
+    **settings: Any,
+) -> HeapEnv:
+    """Return an environment.
+
+    Args:
+        condition: "single" or "dual"; chooses among the embedded heaps.
+        heaps: Heap set file; None takes the embedded heaps of household objects.
+        objects: Object set that the heaps were made with.
+        split: "held-out", "train" or "all" of the heaps.
+        config: The task.
+        render_mode: "rgb_array" or None.
+        settings: Fields of the configuration to replace, such as `privileged=True`.
+
+    Raises:
+        MechSearchError: If a name or setting is unknown, or heaps and objects do not fit.
+    """
+    file = embedded_file(condition) if heaps is None else Path(heaps)
+    heap_set, object_set = open_heaps(file, objects)
+    chosen = [heap_set.heaps[i] for i in heap_set.choose(split)]
+    base = config or HeapEnvConfig(camera=heap_set.camera)
+    unknown = [key for key in settings if key not in base.__dataclass_fields__]
+    if unknown:
+        raise MechSearchError(
+            f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
+        )
+    return HeapEnv(chosen, object_set, replace(base, **settings), render_mode)

@@ -72,26 +72,11 @@ def uncovering_gain(before: float, after: float, least: float) -> float:
     return max((before - after) / max(before, least, 1e-9), -1.0)
 
 
-def uncovering(gain: float, config: RewardConfig) -> float:
-    """Return the target uncovering reward for a relative gain."""
-    return config.uncovering * gain
-
-
 def clutter_movement(gain: float, moved: Array, config: RewardConfig) -> float:
     """Return the heap movement penalty; `moved` (N,) [m] are the non-target displacements."""
     if gain >= config.gain_that_excuses or not len(moved):
         return 0.0
     return -config.movement * float(moved.sum()) / len(moved)
-
-
-def target_movement(moved: float, config: RewardConfig) -> float:
-    """Return the target movement penalty for a displacement [m]."""
-    return -config.movement * moved
-
-
-def workspace(leaves: bool, config: RewardConfig) -> float:
-    """Return the workspace limits penalty."""
-    return -config.workspace if leaves else 0.0
 
 
 def idleness(moved: float, config: RewardConfig) -> float:
@@ -123,10 +108,10 @@ def terms(
     """
     gain = uncovering_gain(before, after, uncovered_at)
     return {
-        "uncovering": uncovering(gain, config),
+        "uncovering": config.uncovering * gain,
         "clutter_movement": clutter_movement(gain, clutter_moved, config),
-        "target_movement": target_movement(target_moved, config),
-        "workspace": workspace(leaves_workspace, config),
+        "target_movement": -config.movement * target_moved,
+        "workspace": -config.workspace if leaves_workspace else 0.0,
         "idleness": idleness(max(clutter_moved.max(initial=0.0), target_moved), config),
     }
 
@@ -140,27 +125,19 @@ def reward_of(config: RewardConfig) -> tuple[Reward, tuple[str, ...]]:
     """
     if config.function == PAPER_REWARD:
         return terms, tuple(terms(*_NOTHING_MOVED, config))
-    function = load_entry_point(config.function, "reward function")
+    function: Reward = load_entry_point(config.function, "reward function")
     names = tuple(_named_numbers(function(*_NOTHING_MOVED, config), config))
-    return _OwnReward(function, names), names
 
-
-@dataclass(frozen=True)
-class _OwnReward:
-    """A user's reward, whose terms are checked after every action."""
-
-    function: Reward
-    names: tuple[str, ...]
-
-    def __call__(self, *action: Any) -> dict[str, float]:
-        config = action[-1]
-        found = _named_numbers(self.function(*action), config)
-        if found.keys() != set(self.names):
+    def checked(*action: Any) -> dict[str, float]:
+        found = _named_numbers(function(*action), config)
+        if found.keys() != set(names):
             raise MechSearchError(
                 f"reward function {config.function!r} returned {', '.join(found)}; expected "
-                f"{', '.join(self.names)} after every action"
+                f"{', '.join(names)} after every action"
             )
-        return {name: found[name] for name in self.names}
+        return {name: found[name] for name in names}
+
+    return checked, names
 
 
 def _named_numbers(found: Any, config: RewardConfig) -> dict[str, float]:

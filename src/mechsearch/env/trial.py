@@ -1,7 +1,4 @@
-"""Carries out what is proposed action by action, such as a push, and records what it came to.
-
-Trials run on a copy of the environment's world that renders no images, from its snapshots.
-"""
+"""Carries out what is proposed action by action, such as a push, and records what it came to."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

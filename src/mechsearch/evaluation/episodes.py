@@ -1,22 +1,48 @@
-"""Recorded episodes: what happened, action by action, and the file that keeps them."""
+"""Recorded episodes: what happened, the file that keeps them, their scores, and the table of all.
 
+The heap is the unit of sampling: every episode counts once, lost targets and failed simulations
+included. Means have Student's t intervals; shares of episodes have a Wilson score interval, which
+stays inside [0, 1] and does not shrink to a point when all episodes end alike.
+"""
+
+import csv
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
-from mechsearch.files import ARRAY_DAMAGE, read_arrays, write_whole
-from mechsearch.heaps.heap import evenly_spread
+from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_text, write_whole
 from mechsearch.types import Array, Floats, MechSearchError
 
 EPISODE_FORMAT = 1
 UNCOVERED = "uncovered"
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
+_FACTS = ("heap_seed", "count", "condition", "policy", "target", "end", "action_limit")
+
+METRICS = (
+    *("reward", "visibility_change", "uncovered_rate"),
+    *("episode_actions", "clutter_moved_m", "target_moved_m"),
+)
+"""The scores of an evaluation; each reward term follows them as `term_<name>`."""
+
+GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
+"""Scores of episodes whose target a grasp network has rated and a gripper has tried to lift."""
+
+SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after")
+"""Scores that are 1 or 0 in one episode."""
+
+_LOWER_IS_BETTER = ("episode_actions", "clutter_moved_m", "target_moved_m")
+HIGHER_IS_BETTER = {name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS)}
+
+RETRIEVED = "success"
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -81,14 +107,10 @@ class EpisodeRecord:
 
     def __post_init__(self) -> None:
         t, n = len(self.actions), len(self.objects)
-        expected = {
-            "actions": (t, 3),
-            "ee_positions": (t + 1, 3),
-            "occlusions": (t + 1,),
-            "poses": (t + 1, n, 7),
-            "clutter_moved": (t,),
-            "target_moved": (t,),
-        }
+        expected: dict[str, tuple[int, ...]] = {
+            "actions": (t, 3), "ee_positions": (t + 1, 3), "occlusions": (t + 1,),
+            "poses": (t + 1, n, 7), "clutter_moved": (t,), "target_moved": (t,),
+        }  # fmt: skip
         shapes = {name: np.shape(getattr(self, name)) for name in expected}
         shapes |= {name: np.shape(term) for name, term in self.reward_terms.items()}
         expected |= dict.fromkeys(self.reward_terms, (t,))
@@ -109,10 +131,7 @@ class EpisodeRecord:
     @property
     def rewards(self) -> Floats:
         """The reward of each action (T,), the sum of its terms."""
-        total = np.zeros(len(self.actions))
-        for term in self.reward_terms.values():
-            total = total + term
-        return total
+        return sum(self.reward_terms.values(), np.zeros(len(self.actions)))
 
 
 @dataclass(frozen=True)
@@ -161,20 +180,6 @@ def save_episodes(path: Path, evaluation: Evaluation) -> None:
     write_whole(path, write)
 
 
-def load_some(path: Path, limit: int) -> Evaluation:
-    """Read an evaluation, and keep so many of its episodes, evenly spread; all for 0.
-
-    Raises:
-        MechSearchError: As `load_episodes`, or if there are not so many.
-    """
-    evaluation = load_episodes(path)
-    count = len(evaluation.episodes)
-    if not 0 <= limit <= count:
-        raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
-    chosen = tuple(evaluation.episodes[i] for i in evenly_spread(count, limit or count))
-    return Evaluation(evaluation.header, chosen)
-
-
 def load_episodes(path: Path) -> Evaluation:
     """Read what `save_episodes` wrote; nothing in the file is ever run.
 
@@ -196,8 +201,7 @@ def load_episodes(path: Path) -> Evaluation:
 
 
 def _description(episode: EpisodeRecord) -> dict[str, Any]:
-    names = ("heap_seed", "count", "condition", "policy", "target", "end", "action_limit")
-    values = {name: getattr(episode, name) for name in names}
+    values = {name: getattr(episode, name) for name in _FACTS}
     if episode.grasp is not None:
         values["grasp"] = asdict(episode.grasp)
     return values | {"objects": list(episode.objects), "length": len(episode.actions)}
@@ -221,22 +225,222 @@ def _split(arrays: Mapping[str, Array], text: Mapping[str, Any]) -> Iterable[Epi
         if name != "text"
     }
     for i, description in enumerate(descriptions):
-        length, objects = description["length"], tuple(description["objects"])
+        objects = tuple(description["objects"])
+        own: dict[str, Any] = {name: pieces[name][i] for name in _STATES + _STEPS}
+        own["poses"] = own["poses"].reshape(description["length"] + 1, len(objects), 7)
         yield EpisodeRecord(
-            heap_seed=description["heap_seed"],
-            count=description["count"],
-            condition=description["condition"],
-            policy=description["policy"],
+            **{name: description[name] for name in _FACTS},
+            **own,
             objects=objects,
-            target=description["target"],
-            actions=pieces["actions"][i],
-            ee_positions=pieces["ee_positions"][i],
-            occlusions=pieces["occlusions"][i],
-            poses=pieces["poses"][i].reshape(length + 1, len(objects), 7),
             reward_terms={term: pieces[f"term_{term}"][i] for term in text["terms"]},
-            clutter_moved=pieces["clutter_moved"][i],
-            target_moved=pieces["target_moved"][i],
-            end=description["end"],
-            action_limit=description["action_limit"],
             grasp=GraspRecord(**description["grasp"]) if "grasp" in description else None,
         )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over heaps and its confidence interval; the interval is NaN for a single heap."""
+
+    mean: float
+    ci_low: float
+    ci_high: float
+    heaps: int
+
+
+def measure(record: EpisodeRecord) -> dict[str, float]:
+    """Return the metrics of one episode.
+
+    Returns:
+        `reward` (sum over the episode), `visibility_change` (start minus end occlusion),
+        `uncovered_rate` (1 or 0), `episode_actions` (the limit unless uncovered),
+        `clutter_moved_m` (path length of a non-target object, averaged over them) [m],
+        `target_moved_m` (path length of the target) [m], `term_<name>` for each reward term, and
+        where it was measured `graspability_change` (end minus start) and `retrieval_before` and
+        `retrieval_after` (1 if the best grasp lifts the target, else 0).
+
+    Raises:
+        MechSearchError: If a value is not finite, since it could not stay in a mean.
+    """
+    values = {
+        "reward": record.rewards.sum(),
+        "visibility_change": record.occlusions[0] - record.occlusions[-1],
+        "uncovered_rate": record.uncovered,
+        "episode_actions": len(record.actions) if record.uncovered else record.action_limit,
+        "clutter_moved_m": record.clutter_moved.sum(),
+        "target_moved_m": record.target_moved.sum(),
+    }
+    values |= {f"term_{name}": term.sum() for name, term in record.reward_terms.items()}
+    grasp = record.grasp
+    if grasp is not None:
+        values["graspability_change"] = grasp.after - grasp.before
+        values["retrieval_before"] = grasp.lift_before == RETRIEVED
+        values["retrieval_after"] = grasp.lift_after == RETRIEVED
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise MechSearchError(
+                f"{name} of {record.policy} on heap {record.heap_seed} is {value}; "
+                "expected a finite number"
+            )
+    return {name: float(value) for name, value in values.items()}
+
+
+def mean_interval(values: ArrayLike) -> Estimate:
+    """Return the mean of values (n,) with Student's t interval."""
+    x = _checked(values)
+    mean, n = float(x.mean()), len(x)
+    if n == 1:
+        return Estimate(mean, float("nan"), float("nan"), 1)
+    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, n - 1) * x.std(ddof=1) / np.sqrt(n))
+    return Estimate(mean, mean - half, mean + half, n)
+
+
+def share_interval(outcomes: ArrayLike) -> Estimate:
+    """Return the share of outcomes (n,), each 0 or 1, with Wilson's score interval."""
+    x = _checked(outcomes)
+    share, n = float(x.mean()), len(x)
+    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2) / (1 + z**2 / n)
+    # Rounding may put an end past the share itself where all outcomes are alike.
+    low, high = min(share, float(centre - half)), max(share, float(centre + half))
+    return Estimate(share, max(0.0, low), min(1.0, high), n)
+
+
+def score(records: Iterable[EpisodeRecord]) -> dict[str, Estimate]:
+    """Return every metric over all the episodes.
+
+    Raises:
+        MechSearchError: If there are none, or grasps were tried in only some of them.
+    """
+    measured = [measure(record) for record in records]
+    if not measured:
+        raise MechSearchError("there is no episode to score; expected at least one")
+    grasped = sum("graspability_change" in values for values in measured)
+    if 0 < grasped < len(measured):
+        raise MechSearchError(
+            f"grasps were tried in {grasped} of {len(measured)} episodes; expected all or none"
+        )
+    return {
+        name: (share_interval if name in SHARES else mean_interval)(
+            [values[name] for values in measured]
+        )
+        for name in measured[0]
+    }
+
+
+def score_by_count(records: Sequence[EpisodeRecord]) -> dict[int, dict[str, Estimate]]:
+    """Return every metric by the number of objects in the heap, fewest first."""
+    counts = sorted({record.count for record in records})
+    return {count: score(r for r in records if r.count == count) for count in counts}
+
+
+def _checked(values: ArrayLike) -> Floats:
+    x: Floats = np.asarray(values, dtype=np.float64).reshape(-1)
+    if not len(x):
+        raise MechSearchError("there is nothing to average; expected at least one value")
+    return x
+
+
+@dataclass(frozen=True, order=True)
+class SummaryRow:
+    """One score; the first six fields name it, and a later row of that name replaces it.
+
+    Attributes:
+        experiment: Name of the comparison that the row belongs to.
+        condition: Condition of the heaps, such as "single".
+        variant: Such as "method", "ddpg", "teacher-straight", "random".
+        seed: Training seed, or evaluation seed where nothing was trained.
+        actions: Training actions behind the policy; 0 where nothing was trained.
+        metric: Name in `METRICS` or `GRASP_METRICS`.
+        mean: Over the held-out heaps.
+        ci_low: Lower end of the 95 % interval over heaps.
+        ci_high: Upper end.
+    """
+
+    experiment: str
+    condition: str
+    variant: str
+    seed: int
+    actions: int
+    metric: str
+    mean: float
+    ci_low: float
+    ci_high: float
+
+    @property
+    def key(self) -> tuple[str, str, str, int, int, str]:
+        """What names the row."""
+        return self.experiment, self.condition, self.variant, self.seed, self.actions, self.metric
+
+
+SUMMARY_COLUMNS = tuple(field.name for field in fields(SummaryRow))
+
+
+def summary_rows(experiment: str, evaluation: Evaluation) -> list[SummaryRow]:
+    """Return the rows that an evaluation enters into a summary.
+
+    There is one for each of `METRICS`, and of `GRASP_METRICS` where they were measured.
+    """
+    header, scores = evaluation.header, score(evaluation.episodes)
+    seed = header["training_seed"] if header["trained"] else header["seed"]
+    seed = header["seed"] if seed is None else seed
+    place = (experiment, header["condition"], header["name"], seed, header["training_actions"])
+    return [
+        SummaryRow(*place, name, scores[name].mean, scores[name].ci_low, scores[name].ci_high)
+        for name in (*METRICS, *GRASP_METRICS)
+        if name in scores
+    ]
+
+
+def read_summary(path: Path) -> list[SummaryRow]:
+    """Return the rows of a summary, in the file's order.
+
+    Raises:
+        MechSearchError: If the file is missing or not a summary; the message names the line.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except FileNotFoundError:
+        raise MechSearchError(f"no summary at {path}") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MechSearchError(f"the summary at {path} cannot be read: {error}") from None
+    if not lines or tuple(lines[0]) != SUMMARY_COLUMNS:
+        found = ",".join(lines[0]) if lines else "nothing"
+        raise MechSearchError(f"{path} begins with {found}; expected {','.join(SUMMARY_COLUMNS)}")
+    return [_row(path, number, line) for number, line in enumerate(lines[1:], start=2)]
+
+
+def merge_summary(path: Path, new: Iterable[SummaryRow]) -> list[SummaryRow]:
+    """Add rows to a summary, replacing those of the same name, and return all, sorted.
+
+    The file is written whole; one that cannot be read is left as it is. Processes that merge at the
+    same time wait for each other, and no row is lost.
+
+    Raises:
+        MechSearchError: If the file is there but is not a summary.
+    """
+    with locked(path):
+        rows = [*(read_summary(path) if path.exists() else []), *new]
+        merged = [row for _, row in sorted({row.key: row for row in rows}.items())]
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows([SUMMARY_COLUMNS, *map(_cells, merged)])
+        write_text(path, text.getvalue())
+    return merged
+
+
+def _cells(row: SummaryRow) -> list[str]:
+    return [f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in astuple(row)]
+
+
+def _row(path: Path, number: int, cells: list[str]) -> SummaryRow:
+    try:
+        experiment, condition, variant, seed, actions, metric, *numbers = cells
+        names, counts = (experiment, condition, variant), (int(seed), int(actions))
+        mean, low, high = map(float, numbers)
+        return SummaryRow(*names, *counts, metric, mean, low, high)
+    except ValueError:
+        raise MechSearchError(
+            f"line {number} of {path} is {','.join(cells)!r}; expected {','.join(SUMMARY_COLUMNS)}"
+        ) from None

@@ -2,26 +2,33 @@
 
 import importlib
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.entry_point import is_entry_point, load_entry_point
-from mechsearch.env.heap_env import TaskConfig, task_from_json
-from mechsearch.evaluation.look_ahead import LookAheadPolicy
+from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
+from mechsearch.env.heap_env import HeapEnv, TaskConfig, task_from_json
+from mechsearch.env.trial import Rollout, imageless, roll_out
 from mechsearch.files import CONFIG_FILE, read_json, read_record
-from mechsearch.observe.observation import IMAGE_KEYS
-from mechsearch.teachers import TEACHERS, make_teacher
-from mechsearch.types import MechSearchError, Observation, Policy
+from mechsearch.pushes.push import spiral, straight, zigzag
+from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher
+from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
 
 TRAINED_LOADER = "mechsearch.training.policies:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 LOOK_AHEAD = "look-ahead"
 """Plans in the simulator, and takes some seconds a heap; a ceiling rather than a baseline."""
+
+SHAPES = (straight, zigzag, spiral)
+"""What is tried: pushes of the paper's three teachers."""
+
+WITHOUT_SUCCESS = 100.0
+"""What a trial that does not uncover the target is behind those that do."""
 
 SHIPPED_POLICIES = ("single", "dual")
 """Conditions for which a trained policy is shipped, and the policies' names."""
@@ -61,6 +68,85 @@ class IdlePolicy:
         return np.zeros(3, np.float32)
 
 
+@dataclass(frozen=True)
+class LookAheadConfig:
+    """How far to look.
+
+    Attributes:
+        directions: Directions tried for each teacher.
+        margin: A trial this far behind the best return so far is given up.
+        gentleness: What each metre that the mean non-target object moves costs a trial, beyond
+            its reward.
+        tolerance: Of the trials this close to the best score, the one that sets out most directly
+            for the target is taken.
+    """
+
+    directions: int = 8
+    margin: float = 2.5
+    gentleness: float = 50.0
+    tolerance: float = 1.0
+
+
+class LookAheadPolicy:
+    """The best push found from an episode's start, executed to its end: the ceiling of pushes.
+
+    It needs snapshots of the simulator, which no robot has: it shows how well pushes can do. Its
+    trial actions are simulated, not executed, and are counted apart.
+    """
+
+    keys: tuple[str, ...] = ("ee_position",)
+
+    def __init__(self, config: LookAheadConfig | None = None) -> None:
+        """Set how far to look."""
+        self._config = config or LookAheadConfig()
+        self._env: HeapEnv | None = None
+        self.simulated_actions = 0
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Forget the last plan; trials draw from the heap's own seed."""
+        self._actions: list[NDArray[np.float32]] = []
+        self.simulated_actions = 0
+
+    def plan(self, env: HeapEnv) -> None:
+        """Try every push from where the environment is, and keep the best to its end."""
+
+        def score(rollout: Rollout) -> float:
+            return rollout.reward - config.gentleness * rollout.clutter_moved
+
+        def is_hopeless(rollout: Rollout) -> bool:
+            return score(rollout) < best - config.margin
+
+        if env is not self._env:
+            self._env, self._twin = env, imageless(env)
+        config, twin, snapshot = self._config, self._twin, env.snapshot()
+        offset = twin.restore(snapshot)["target_offset"]
+        towards = offset / max(float(np.linalg.norm(offset)), 1e-6)
+        tried: list[tuple[float, NDArray[np.float32]]] = []
+        best = -np.inf
+        for i in range(config.directions):
+            for shape in SHAPES:
+                teacher = PushTeacher(shape, 2 * np.pi * i / config.directions)
+                teacher.reset(np.random.default_rng([env.heap.seed, i]))
+                rollout = roll_out(twin, twin.restore(snapshot), teacher.act, is_hopeless)
+                # No success: a failed simulation must not be chosen for the penalties it escaped.
+                behind = 0.0 if rollout.end == "uncovered" else WITHOUT_SUCCESS
+                tried.append((score(rollout) - behind, np.array(rollout.actions, np.float32)))
+                best = max(best, tried[-1][0])
+        near = [actions for value, actions in tried if value >= best - config.tolerance]
+        chosen = max(near, key=lambda actions: float(actions[0] @ towards))
+        self._actions = list(chosen[::-1])
+        self.simulated_actions = sum(len(actions) for _, actions in tried)
+
+    def act(self, obs: Observation) -> NDArray[np.float32]:
+        """Return the plan's next action (3,); stay in place once it is over."""
+        return self._actions.pop() if self._actions else np.zeros(3, np.float32)
+
+
+_MADE: dict[str, Callable[[], Policy]] = {
+    "random": RandomPolicy, "idle": IdlePolicy, LOOK_AHEAD: LookAheadPolicy,
+}  # fmt: skip
+
+
 def policy_names() -> tuple[str, ...]:
     """Return the names of the built-in baselines, which plan nothing."""
     return ("random", "idle", *(f"teacher-{name}" for name in TEACHERS))
@@ -79,12 +165,8 @@ def make_policy(spec: str) -> Policy:
     Raises:
         MechSearchError: If there is no such policy, or it cannot be made.
     """
-    if spec == "random":
-        return RandomPolicy()
-    if spec == "idle":
-        return IdlePolicy()
-    if spec == LOOK_AHEAD:
-        return LookAheadPolicy()
+    if spec in _MADE:
+        return _MADE[spec]()
     if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:
         return make_teacher(spec.removeprefix("teacher-"))
     if spec in SHIPPED_POLICIES:
@@ -180,10 +262,10 @@ def check_view(policy: Policy, run: Mapping[str, Any], task: TaskConfig, name: s
 
 def _view_of(policy: Policy, run: Mapping[str, Any]) -> dict[str, Any]:
     """Return the camera and the size of the images that a policy is bound to."""
-    known = dict(run.get("task", run)) if IMAGE_KEYS & set(policy.keys) else {}
+    known = run.get("task", run) if IMAGE_KEYS & set(policy.keys) else {}
     said = {name: getattr(policy, name, None) for name in _VIEW}
-    known |= {name: value for name, value in said.items() if isinstance(value, _VIEW[name])}
-    return {name: known[name] for name in _VIEW if name in known}
+    said = {name: value for name, value in said.items() if isinstance(value, _VIEW[name])}
+    return {name: known[name] for name in _VIEW if name in known} | said
 
 
 def _is_file_of_run(spec: str) -> bool:
@@ -206,10 +288,5 @@ def checked_policy(policy: object, spec: str) -> Policy:
     Raises:
         MechSearchError: If it is none, naming what it lacks.
     """
-    if not isinstance(policy, Policy):
-        missing = [name for name in ("keys", "reset", "act") if not hasattr(policy, name)]
-        raise MechSearchError(
-            f"policy {spec!r} gives a {type(policy).__name__} without {', '.join(missing)}; "
-            "a policy has keys, reset(rng) and act(obs)"
-        )
-    return policy
+    known: Policy = conforming(policy, "policy", spec, ("keys", "reset(rng)", "act(obs)"))
+    return known

@@ -1,21 +1,19 @@
-"""Runs a policy on heaps and records every episode."""
+"""Runs a policy on heaps, records every episode, and proves records by playing them again."""
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, differing
-from mechsearch.env.register import embedded_file
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
-from mechsearch.evaluation.look_ahead import Planner
+from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, task_from_json
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, load_episodes
 from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     check_view,
@@ -24,8 +22,8 @@ from mechsearch.evaluation.policies import (
     run_config,
     task_of,
 )
-from mechsearch.files import fingerprint
-from mechsearch.heaps.dataset import HeapSet, open_heaps
+from mechsearch.files import differing_fields, fingerprint
+from mechsearch.heaps.dataset import HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim.world import ENGINE_VERSION
@@ -33,6 +31,20 @@ from mechsearch.types import Array, MechSearchError, Observation, Policy, select
 
 EPISODE_LIMIT = 600.0
 """Time after which an episode hangs [s]; it takes a few seconds."""
+
+
+_COMPARED = ("actions", "ee_positions", "poses", "occlusions", "clutter_moved", "target_moved")
+
+
+@runtime_checkable
+class Planner(Policy, Protocol):
+    """A policy that looks at the simulator itself before an episode begins."""
+
+    simulated_actions: int
+    """Actions simulated to plan the present episode, none of them executed."""
+
+    def plan(self, env: HeapEnv) -> None:
+        """Plan from where an environment is, and leave it there."""
 
 
 @dataclass(frozen=True)
@@ -176,14 +188,12 @@ def evaluate(
 
     Args:
         policy: As on the command line, or a policy itself, which must pickle where `workers` > 1.
-        heaps: Heap set file; None takes the embedded heaps of household objects, single ones but
-            for the policy "dual".
-        objects: Object set; empty takes the one that the heap set names.
+        heaps: Heap set file; this and all else is as in an `EvaluationPlan`.
+        objects: Object set.
         split: "held-out", "train" or "all" heaps.
-        limit: Number of heaps, spread evenly over the split; 0 takes all.
-        seed: Of the policy's own randomness; starts depend on the heap alone.
-        task: The task; None takes that of the run that the policy comes from, or else the default
-            one through the heap set's camera.
+        limit: Number of heaps; 0 takes all.
+        seed: Of the policy's own randomness.
+        task: The task.
         workers: Processes; the episodes do not depend on their number.
 
     Raises:
@@ -259,6 +269,14 @@ def in_task(plan: EvaluationPlan, change: Callable[[TaskConfig], TaskConfig]) ->
     return changed
 
 
+def differing(one: TaskConfig, other: TaskConfig) -> tuple[str, ...]:
+    """Return in what another task differs from one, such as "reward.movement 75 -> 100"."""
+    return tuple(
+        f"{name} {str(before).removesuffix('.0')} -> {str(now).removesuffix('.0')}"
+        for name, before, now in differing_fields(one, other)
+    )
+
+
 def file_name(evaluation: Evaluation) -> str:
     """Return a name for an evaluation's file that tells seeds and lengths of training apart."""
     header = evaluation.header
@@ -298,10 +316,8 @@ class _Rollouts:
 
     @cached_property
     def policy(self) -> Policy:
-        policy = self.plan.policy
-        if isinstance(policy, str):
-            return make_policy(policy)
-        return checked_policy(policy, self.plan.policy_text)
+        policy, text = self.plan.policy, self.plan.policy_text
+        return make_policy(policy) if isinstance(policy, str) else checked_policy(policy, text)
 
     @cached_property
     def opened(self) -> tuple[HeapSet, ObjectSet]:
@@ -355,3 +371,150 @@ class _Rollouts:
         # As it will be read back: lists for tuples.
         plain: dict[str, Any] = json.loads(json.dumps(header))
         return plain
+
+
+@dataclass(frozen=True)
+class EpisodeCheck:
+    """What playing one recorded episode again has shown.
+
+    Attributes:
+        heap_seed: Of its heap.
+        differences: What came out otherwise, such as "occlusions from action 3 on"; empty if every
+            bit is as recorded.
+    """
+
+    heap_seed: int
+    differences: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every bit is as recorded."""
+        return not self.differences
+
+
+def replay_all(
+    evaluation: Evaluation,
+    heaps: Path,
+    objects: str = "",
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
+) -> Iterator[EpisodeCheck]:
+    """Yield what playing each episode again shows, in their order.
+
+    Physics, occlusion and reward are computed anew from heap, starting point and actions; the
+    policy is not asked again. The bits are the same under the engine's version in the header.
+
+    Args:
+        evaluation: The recorded episodes.
+        heaps: File of the heap set that they ran on.
+        objects: Object set; empty takes the one that the evaluation names.
+        workers: Processes.
+        progress: Told after each episode.
+        mapper: How the episodes are spread.
+
+    Raises:
+        MechSearchError: If the heap set is another, or the objects are.
+    """
+    spec = objects or str(evaluation.header["object_set"])
+    heap_set, _ = open_heaps(heaps, spec)
+    if heap_set.hash != evaluation.header["heap_set"]:
+        raise MechSearchError(
+            f"{heaps} has the hash {heap_set.hash[:12]}; these episodes ran on the heap set "
+            f"{str(evaluation.header['heap_set'])[:12]}"
+        )
+    config = task_from_json(HeapEnvConfig, evaluation.header["env"])
+    # No image is looked at: what is recorded does not depend on what the policy saw.
+    play = _Play(heaps, spec, replace(config, keys=("ee_position",)))
+    name = f"{evaluation.header['name']} played again"
+    results = mapper(play, evaluation.episodes, workers, EPISODE_LIMIT, _failed)
+    for i, found in enumerate(results):
+        progress(name, i + 1, len(evaluation.episodes))
+        yield found
+
+
+def record_differences(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[str, ...]:
+    """Return in what two records of an episode differ, bit by bit."""
+    pairs = {name: (getattr(recorded, name), getattr(played, name)) for name in _COMPARED}
+    nothing = np.empty(0)
+    for term in dict.fromkeys((*recorded.reward_terms, *played.reward_terms)):
+        both = [record.reward_terms.get(term, nothing) for record in (recorded, played)]
+        pairs[f"reward term {term}"] = (both[0], both[1])
+    found = []
+    for name, (before, now) in pairs.items():
+        if before.shape != now.shape:
+            found.append(f"{name} of {len(now)} entries instead of {len(before)}")
+        elif before.tobytes() != now.tobytes():
+            found.append(f"{name} from {_first(before, now)} on")
+    if recorded.end != played.end:
+        found.append(f"the end, {played.end!r} instead of {recorded.end!r}")
+    return tuple(found)
+
+
+def _first(before: Array, now: Array) -> int:
+    """Return the first row that differs."""
+    rows = (len(before), -1)
+    return int(np.argmax((before.reshape(rows) != now.reshape(rows)).any(axis=1)))
+
+
+def _failed(record: EpisodeRecord, failure: Failure) -> EpisodeCheck:
+    return EpisodeCheck(record.heap_seed, (failure.reason,))
+
+
+@dataclass(frozen=True)
+class _Play:
+    """Plays recorded episodes again, in whichever process."""
+
+    heaps: Path
+    objects: str
+    config: HeapEnvConfig
+
+    def __call__(self, record: EpisodeRecord) -> EpisodeCheck:
+        env = self._env
+        named = (record.heap_seed, record.condition)
+        found = [i for i, h in enumerate(env.heaps) if (h.seed, h.condition) == named]
+        if not found:
+            return EpisodeCheck(record.heap_seed, ("its heap is not in the set",))
+        try:
+            played = run_episode(_Recorded(record.actions), env, found[0], name=record.policy)
+        except MechSearchError as error:
+            return EpisodeCheck(record.heap_seed, (str(error),))
+        return EpisodeCheck(record.heap_seed, record_differences(record, played))
+
+    @cached_property
+    def _env(self) -> HeapEnv:
+        heap_set, objects = open_heaps(self.heaps, self.objects)
+        return HeapEnv(heap_set.heaps, objects, self.config)
+
+
+class _Recorded:
+    """A policy that repeats recorded actions."""
+
+    keys: tuple[str, ...] = ("ee_position",)
+
+    def __init__(self, actions: Sequence[Array] | Array) -> None:
+        self._actions = iter(actions)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin; there is nothing to draw."""
+
+    def act(self, obs: Observation) -> Array:
+        """Return the next recorded action."""
+        action = next(self._actions, None)
+        if action is None:
+            raise MechSearchError("it goes on after the last recorded action")
+        return np.asarray(action)
+
+
+def load_some(path: Path, limit: int) -> Evaluation:
+    """Read an evaluation, and keep so many of its episodes, evenly spread; all for 0.
+
+    Raises:
+        MechSearchError: As `load_episodes`, or if there are not so many.
+    """
+    evaluation = load_episodes(path)
+    count = len(evaluation.episodes)
+    if not 0 <= limit <= count:
+        raise MechSearchError(f"limit is {limit}; {path} has {count} episodes")
+    chosen = tuple(evaluation.episodes[i] for i in evenly_spread(count, limit or count))
+    return Evaluation(evaluation.header, chosen)

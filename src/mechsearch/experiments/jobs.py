@@ -11,11 +11,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.env.heap_env import HeapEnvConfig, differing, task_from_json
-from mechsearch.evaluation import summary
-from mechsearch.evaluation.episodes import Evaluation, load_episodes, save_episodes
+from mechsearch.env.heap_env import HeapEnvConfig, task_from_json
+from mechsearch.evaluation.episodes import (
+    Evaluation,
+    load_episodes,
+    merge_summary,
+    save_episodes,
+    summary_rows,
+)
 from mechsearch.evaluation.policies import LOOK_AHEAD
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name
+from mechsearch.evaluation.rollout import EvaluationPlan, differing, evaluate_plan, file_name
 from mechsearch.experiments.folder import SweepFolder, write_curves
 from mechsearch.experiments.plan import SweepPlan
 from mechsearch.files import (
@@ -389,8 +394,8 @@ class Scoring(Job):
         for file in recorded:
             if _digest_of_scored(file) != _digest(file):
                 compact(file)
-            rows = summary.rows_of(self.plan.experiment, load_episodes(file))
-            summary.merge(self.folder.summary, rows)
+            rows = summary_rows(self.plan.experiment, load_episodes(file))
+            merge_summary(self.folder.summary, rows)
         # Scores of an actor that was trained again, to another number of actions.
         for file in found if recorded else ():
             if not file.exists():

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.env.heap_env import TaskConfig, differing
+from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
+from mechsearch.evaluation.rollout import differing
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.files import differing_fields, read_record, record_from_json, write_record
-from mechsearch.heaps.dataset import object_set, open_heaps
+from mechsearch.heaps.dataset import CONDITIONS, object_set, open_heaps
 from mechsearch.heaps.generate import GenerateConfig
-from mechsearch.heaps.heap import CONDITIONS
 from mechsearch.teachers import PAPER_TEACHERS
 from mechsearch.training.assemble import SHIPPED_NETWORK
 from mechsearch.training.config import run_config

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, share_interval
+from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, share_interval
 from mechsearch.files import mixed
 from mechsearch.findings.claims import GOALS, PAPER, Ruling, claim_rows, rule
 from mechsearch.findings.comparisons import Comparison, compare_with_others

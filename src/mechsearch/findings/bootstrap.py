@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from mechsearch.evaluation.metrics import CONFIDENCE, Estimate
+from mechsearch.evaluation.episodes import CONFIDENCE, Estimate
 from mechsearch.types import Floats, MechSearchError
 
 SAMPLES = 4000

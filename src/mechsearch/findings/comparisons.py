@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, METRICS, Estimate
+from mechsearch.evaluation.episodes import HIGHER_IS_BETTER, METRICS, Estimate
 from mechsearch.findings.experiment import Condition
 from mechsearch.findings.questions import ShareOfGap, difference
 from mechsearch.findings.tables import Scores, Table, cell, display, number, percent

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mechsearch.evaluation.metrics import METRICS, SHARES, Estimate, share_interval
+from mechsearch.evaluation.episodes import METRICS, SHARES, Estimate, share_interval
 from mechsearch.files import (
     CONFIG_FILE,
     EVALUATIONS_FOLDER,

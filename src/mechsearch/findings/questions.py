@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from scipy import stats
 
-from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, Estimate, mean_interval
+from mechsearch.evaluation.episodes import HIGHER_IS_BETTER, Estimate, mean_interval
 from mechsearch.findings.bootstrap import SEED, estimated, percentile_interval, replicates
 from mechsearch.findings.experiment import PASSIVE, Condition, Experiment
 from mechsearch.findings.runs import learning_curve

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate, mean_interval
+from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, Estimate, mean_interval
 from mechsearch.files import CONFIG_FILE, INPUTS_FILE, METRICS_FILE, read_lines, read_record
 from mechsearch.types import Floats, MechSearchError
 

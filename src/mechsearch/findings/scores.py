@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.evaluation.episodes import load_episodes
-from mechsearch.evaluation.metrics import measure
+from mechsearch.evaluation.episodes import load_episodes, measure
 from mechsearch.files import ARRAY_DAMAGE, SCORES_SUFFIX, read_arrays, write_whole
 from mechsearch.findings.failure_modes import EPISODE_MODES, EpisodeMode, mode_of
 from mechsearch.types import Array, Floats, MechSearchError

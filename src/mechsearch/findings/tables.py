@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate
+from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, Estimate
 
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"

@@ -21,7 +21,7 @@ from mechsearch.grasp.image_grasp import (
 )
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.scene import Workspace
 from mechsearch.types import Array, Floats, MechSearchError
 
 BEST = 10

@@ -1,10 +1,10 @@
-"""Heap sets: one Parquet file each, with a manifest, half of it held out."""
+"""Heaps, and sets of them: one Parquet file each, with a manifest, half of it held out."""
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,37 +12,70 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from mechsearch.camera import preset
 from mechsearch.files import write_whole
-from mechsearch.heaps.heap import Heap, evenly_spread
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.objects.model import ObjectSet
-from mechsearch.processes import Failure, Progress, map_in_order, silent
-from mechsearch.render.body import body_of
-from mechsearch.render.visibility import occlusion
-from mechsearch.sim.world import REST_LIMIT, drift
-from mechsearch.types import MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
 HEAPS_FORMAT = 1
+
+CONDITIONS = {"single": (5, 10, 15), "dual": (5, 6, 7, 8, 9, 10)}
+"""Objects in each heap (paper, section IV-A): one heap near the centre, or two heaps apart."""
 
 SPLITS = ("held-out", "train", "all")
 """Halves of a heap set, and both of them."""
 
-CHECK_LIMIT = 300.0
-"""Time after which the check of a heap hangs [s]."""
+_SCHEMA = pa.schema({
+    "objects": pa.list_(pa.string()), "poses": pa.list_(pa.float64()), "target": pa.int32(),
+    "occlusion": pa.float64(), "seed": pa.int64(), "count": pa.int32(), "condition": pa.string(),
+    "held_out": pa.bool_(),
+})  # fmt: skip
 
-_SCHEMA = pa.schema(
-    [
-        ("objects", pa.list_(pa.string())),
-        ("poses", pa.list_(pa.float64())),
-        ("target", pa.int32()),
-        ("occlusion", pa.float64()),
-        ("seed", pa.int64()),
-        ("count", pa.int32()),
-        ("condition", pa.string()),
-        ("held_out", pa.bool_()),
-    ]
-)
+
+@dataclass(frozen=True)
+class Heap:
+    """A settled start state.
+
+    Attributes:
+        objects: Names (N,), distinct.
+        poses: Of all objects at rest (N, 7): centre of mass [m], quaternion (w, x, y, z).
+        target: Index of the target among `objects`.
+        occlusion: Of the target, from the heap set's camera, in [0, 1].
+        seed: Identifies the heap; its evaluation start and all episode randomness derive from it.
+        count: Objects in each heap, so N for `single` and N / 2 for `dual`.
+        condition: "single" or "dual".
+        held_out: Whether the heap is kept for evaluation.
+    """
+
+    objects: tuple[str, ...]
+    poses: Floats
+    target: int
+    occlusion: float
+    seed: int
+    count: int
+    condition: str
+    held_out: bool
+
+
+def check_condition(condition: str) -> str:
+    """Return the condition.
+
+    Raises:
+        MechSearchError: If there is no such condition.
+    """
+    if condition not in CONDITIONS:
+        raise MechSearchError(
+            f"unknown condition {condition!r}; choose one of {', '.join(CONDITIONS)}"
+        )
+    return condition
+
+
+def evenly_spread(count: int, chosen: int) -> list[int]:
+    """Return `chosen` of the indices below `count`, evenly spread.
+
+    Heaps are kept by object count, so an even spread has all counts alike.
+    """
+    return [i * count // chosen for i in range(chosen)]
 
 
 @dataclass(frozen=True)
@@ -196,6 +229,16 @@ def _hash(heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> str:
     return digest.hexdigest()
 
 
+def embedded_file(condition: str) -> Path:
+    """Return the file of the small heap set of household objects that the package holds."""
+    return Path(__file__).with_name(f"household_{check_condition(condition)}.parquet")
+
+
+def embedded_heaps(condition: str) -> HeapSet:
+    """Return the small heap set of household objects that the package holds."""
+    return load_heaps(embedded_file(condition))
+
+
 def open_heaps(path: Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
     """Return a heap set and its objects, once it is certain that they belong together.
 
@@ -232,60 +275,3 @@ def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
             f"{len(wrong)} of the {len(used)} that it uses are missing from or differ in "
             f"{objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
         )
-
-
-@dataclass(frozen=True)
-class Check:
-    """What verifying one heap found.
-
-    Attributes:
-        seed: The heap.
-        drift: How far its most restless object moves in one simulated second [m].
-        occlusion_error: Recorded minus measured occlusion of the target.
-    """
-
-    seed: int
-    drift: float
-    occlusion_error: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the heap is at rest and its target is occluded as recorded."""
-        return self.drift <= REST_LIMIT and abs(self.occlusion_error) < 1e-9
-
-
-def _checked(objects: str, camera: str, heap: Heap) -> Check:
-    models = [object_set(objects).models[name] for name in heap.objects]
-    bodies = [body_of(model) for model in models]
-    measured = occlusion(bodies, preset(camera), heap.poses, heap.target)
-    return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
-
-
-def _unverified(heap: Heap, failure: Failure) -> Check:
-    """Return the check of a heap that workers died of or hung in."""
-    if failure.error is not None:
-        raise failure.error
-    return Check(heap.seed, float("inf"), float("nan"))
-
-
-def verify(
-    heap_set: HeapSet, objects: str = "", workers: int = 1, progress: Progress = silent
-) -> Iterator[Check]:
-    """Restore every heap, and measure its rest and its target's occlusion.
-
-    Args:
-        heap_set: What to verify.
-        objects: Object set; empty takes the one that the heaps were made with.
-        workers: Number of processes.
-        progress: Told after each heap.
-
-    Raises:
-        MechSearchError: If the set was made with other objects.
-    """
-    named = objects or heap_set.objects
-    check_objects(heap_set, object_set(named))
-    check = partial(_checked, named, heap_set.camera)
-    checks = map_in_order(check, heap_set.heaps, workers, CHECK_LIMIT, _unverified)
-    for i, result in enumerate(checks):
-        progress("verified", i + 1, len(heap_set.heaps))
-        yield result

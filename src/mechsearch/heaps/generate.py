@@ -5,8 +5,8 @@ taken in their order, so a heap set does not depend on the number of workers.
 """
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,22 +24,29 @@ from mechsearch.files import (
     write_text,
 )
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
-from mechsearch.heaps.dataset import HEAPS_FORMAT, HeapSet, object_set, save_heaps
-from mechsearch.heaps.heap import CONDITIONS, Heap, check_condition
-from mechsearch.heaps.quota import Drop, Quota, drops_until_full
+from mechsearch.heaps.dataset import (
+    CONDITIONS,
+    HEAPS_FORMAT,
+    Heap,
+    HeapSet,
+    check_condition,
+    check_objects,
+    heap_from_json,
+    heap_to_json,
+    object_set,
+    save_heaps,
+)
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
-from mechsearch.render.body import body_of
-from mechsearch.render.visibility import occlusion
-from mechsearch.sim.scene import PhysicsConfig, Wall
-from mechsearch.sim.workspace import Workspace
+from mechsearch.render.visibility import body_of, occlusion
+from mechsearch.sim.scene import PhysicsConfig, Wall, Workspace
 from mechsearch.sim.world import ENGINE_VERSION, REST_LIMIT, World, drift, settle
 from mechsearch.types import Floats, MechSearchError
 
 DROPS = ("wall", "open")
 
 ATTEMPT_LIMIT = 300.0
-"""Time after which an attempt hangs [s]; it takes a fraction of a second."""
+"""Time after which an attempt or a check hangs [s]; either takes a fraction of a second."""
 
 _DROPPING = PhysicsConfig(time_step=0.0075, contact_time=0.015, sleep_speed=0.0)
 """Coarser than an episode's physics, in which the rest of every accepted heap is measured."""
@@ -97,6 +104,86 @@ class GenerateConfig:
         return self.counts or CONDITIONS[self.condition]
 
 
+@dataclass(frozen=True)
+class Drop:
+    """One attempt, and what came of it.
+
+    Attributes:
+        count: Objects in each heap.
+        number: Which attempt at this count.
+        heap: None until it is done, and if it is discarded.
+        lost: Why two workers did not finish it, if so.
+    """
+
+    count: int
+    number: int
+    heap: Heap | None = None
+    lost: str | None = None
+
+    def row(self) -> dict[str, Any]:
+        """Return the journal's record."""
+        heap = None if self.heap is None else heap_to_json(self.heap)
+        row = {"count": self.count, "number": self.number, "heap": heap}
+        return row | ({"lost": self.lost} if self.lost else {})
+
+
+@dataclass
+class Quota:
+    """Heaps of one object count.
+
+    Attributes:
+        count: Objects in each heap.
+        size: How many heaps are needed.
+        heaps: Those accepted, in the order of their attempts.
+        tried: Attempts so far.
+        lost: Why workers did not finish an attempt, by its number.
+    """
+
+    count: int
+    size: int
+    heaps: list[Heap] = field(default_factory=list)
+    tried: int = 0
+    lost: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def full(self) -> bool:
+        """Whether no more are needed."""
+        return len(self.heaps) == self.size
+
+    def resume(self, row: Mapping[str, Any]) -> None:
+        """Take the next attempt from a journal; any other is passed over."""
+        if row["number"] == self.tried and not self.full:
+            heap = None if row["heap"] is None else heap_from_json(row["heap"])
+            self.add(Drop(self.count, self.tried, heap, row.get("lost")))
+
+    def add(self, drop: Drop) -> None:
+        """Take the next attempt.
+
+        Raises:
+            MechSearchError: If hardly any are accepted.
+        """
+        self.tried += 1
+        if drop.lost is not None:
+            self.lost[str(drop.number)] = drop.lost
+        if drop.heap is not None:
+            self.heaps.append(drop.heap)
+        elif self.tried >= 200 and len(self.heaps) < self.tried / 200:
+            raise MechSearchError(
+                f"only {len(self.heaps)} of {self.tried} drops of {self.count} objects were "
+                "accepted; these objects hardly ever hide each other under these conditions"
+                + (f"; {len(self.lost)} drops were lost: {drop.lost}" if drop.lost else "")
+            )
+
+
+def drops_until_full(quotas: Iterable[Quota]) -> Iterator[Drop]:
+    """Yield attempts until the quotas are full, one object count after another."""
+    for quota in quotas:
+        number = quota.tried
+        while not quota.full:
+            yield Drop(quota.count, number)
+            number += 1
+
+
 def generate(
     config: GenerateConfig,
     path: Path,
@@ -120,41 +207,35 @@ def generate(
             generates this set.
     """
     with alone(path, f"the heap set {path}"):
-        return _generate_alone(config, path, workers, progress, mapper)
-
-
-def _generate_alone(
-    config: GenerateConfig, path: Path, workers: int, progress: Progress, mapper: Mapper
-) -> HeapSet:
-    objects = object_set(config.objects)
-    needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
-    if len(objects.models) < needed:
-        raise MechSearchError(
-            f"object set {objects.name!r} has {len(objects.models)} objects that can lie in a "
-            f"heap; these heaps need {needed} distinct ones"
-        )
-    journal = _open_journal(config, objects, path)
-    quota = config.heaps // len(config.object_counts)
-    quotas = {count: Quota(count, quota) for count in config.object_counts}
-    for row in sorted(read_lines(journal), key=lambda row: int(row["number"])):
-        quotas[row["count"]].resume(row)
-    for one in quotas.values():
-        progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
-    drops = drops_until_full(quotas.values())
-    for drop in mapper(partial(_attempted, config), drops, workers, ATTEMPT_LIMIT, _lost):
-        one = quotas[drop.count]
-        if one.full:
-            continue
-        append_line(journal, drop.row())
-        one.add(drop)
-        if drop.heap is not None:
+        objects = object_set(config.objects)
+        needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
+        if len(objects.models) < needed:
+            raise MechSearchError(
+                f"object set {objects.name!r} has {len(objects.models)} objects that can lie in a "
+                f"heap; these heaps need {needed} distinct ones"
+            )
+        journal = _open_journal(config, objects, path)
+        quota = config.heaps // len(config.object_counts)
+        quotas = {count: Quota(count, quota) for count in config.object_counts}
+        for row in sorted(read_lines(journal), key=lambda row: int(row["number"])):
+            quotas[row["count"]].resume(row)
+        for one in quotas.values():
             progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
-        if all(one.full for one in quotas.values()):
-            break
-    heap_set = save_heaps(path, *_collected(config, objects, list(quotas.values())))
-    journal.unlink()
-    journal.with_suffix(".json").unlink()
-    return heap_set
+        drops = drops_until_full(quotas.values())
+        for drop in mapper(partial(_attempted, config), drops, workers, ATTEMPT_LIMIT, _lost):
+            one = quotas[drop.count]
+            if one.full:
+                continue
+            append_line(journal, drop.row())
+            one.add(drop)
+            if drop.heap is not None:
+                progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
+            if all(one.full for one in quotas.values()):
+                break
+        heap_set = save_heaps(path, *_collected(config, objects, list(quotas.values())))
+        journal.unlink()
+        journal.with_suffix(".json").unlink()
+        return heap_set
 
 
 def _collected(
@@ -301,3 +382,60 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
     write_record(header, "journal of a heap set", identity)
     write_text(journal, "".join(map(line_of, read_lines(journal))))
     return journal
+
+
+@dataclass(frozen=True)
+class Check:
+    """What verifying one heap found.
+
+    Attributes:
+        seed: The heap.
+        drift: How far its most restless object moves in one simulated second [m].
+        occlusion_error: Recorded minus measured occlusion of the target.
+    """
+
+    seed: int
+    drift: float
+    occlusion_error: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the heap is at rest and its target is occluded as recorded."""
+        return self.drift <= REST_LIMIT and abs(self.occlusion_error) < 1e-9
+
+
+def _checked(objects: str, camera: str, heap: Heap) -> Check:
+    models = [object_set(objects).models[name] for name in heap.objects]
+    bodies = [body_of(model) for model in models]
+    measured = occlusion(bodies, preset(camera), heap.poses, heap.target)
+    return Check(heap.seed, drift(models, heap.poses), heap.occlusion - measured)
+
+
+def _unverified(heap: Heap, failure: Failure) -> Check:
+    """Return the check of a heap that workers died of or hung in."""
+    if failure.error is not None:
+        raise failure.error
+    return Check(heap.seed, float("inf"), float("nan"))
+
+
+def verify(
+    heap_set: HeapSet, objects: str = "", workers: int = 1, progress: Progress = silent
+) -> Iterator[Check]:
+    """Restore every heap, and measure its rest and its target's occlusion.
+
+    Args:
+        heap_set: What to verify.
+        objects: Object set; empty takes the one that the heaps were made with.
+        workers: Number of processes.
+        progress: Told after each heap.
+
+    Raises:
+        MechSearchError: If the set was made with other objects.
+    """
+    named = objects or heap_set.objects
+    check_objects(heap_set, object_set(named))
+    check = partial(_checked, named, heap_set.camera)
+    checks = map_in_order(check, heap_set.heaps, workers, ATTEMPT_LIMIT, _unverified)
+    for i, result in enumerate(checks):
+        progress("verified", i + 1, len(heap_set.heaps))
+        yield result

@@ -10,20 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.observe.position_image import position_image
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import IMAGE_KEYS, Array, Floats, MechSearchError
 
 KEYS = (
-    "depth",
-    "position_image",
-    "rgb",
-    "target_label",
-    "ee_position",
-    "target_offset",
-    "clutter_offsets",
-    "clutter_mask",
+    *("depth", "position_image", "rgb", "target_label"),
+    *("ee_position", "target_offset", "clutter_offsets", "clutter_mask"),
 )
-IMAGE_KEYS = frozenset({"depth", "position_image", "rgb"})
 
 
 @dataclass(frozen=True)
@@ -137,3 +129,46 @@ class Observer:
 def others(target: int, count: int) -> NDArray[np.intp]:
     """Return the indices of all `count` objects but the target (count - 1,)."""
     return np.delete(np.arange(count), target)
+
+
+def position_image(
+    mask: Array, depth: Array, camera: Camera, ee_position: Array
+) -> NDArray[np.float16]:
+    """Return the offset from end effector to target of every visible target pixel.
+
+    It is the mid-level representation of the paper (section III-B).
+
+    Args:
+        mask: Visible target pixels (H, W) bool.
+        depth: Depth image (H, W) [m]; pixels without a measurement are 0 and are left out.
+        camera: Intrinsics and pose of the image.
+        ee_position: End effector (3,) [m], world frame.
+
+    Returns:
+        Offsets (3, H, W) [m] in world axes, 0 off the target.
+
+    Raises:
+        MechSearchError: If mask, depth and camera differ in size.
+    """
+    shape = (camera.height, camera.width)
+    if mask.shape != shape or depth.shape != shape:
+        raise MechSearchError(
+            f"mask {mask.shape} and depth {depth.shape} must both be the camera's {shape}"
+        )
+    image = np.zeros((3, *shape), np.float16)
+    pixels = mask.ravel().nonzero()[0]
+    z = depth.take(pixels)
+    if not z.all():
+        pixels, z = pixels[z > 0], z[z > 0]
+    origin, rays = _rays(camera)
+    offsets = rays.take(pixels, axis=1) * z + (origin - ee_position)[:, None]
+    image.reshape(3, -1)[:, pixels] = offsets
+    return image
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: Camera) -> tuple[Floats, Floats]:
+    """Return where the camera is (3,), and its pixels' rays (3, H W) in world axes."""
+    pose = camera.pose
+    rays = camera.directions().reshape(-1, 3) @ pose[:3, :3].T
+    return pose[:3, 3], np.ascontiguousarray(rays.T)

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import BACKGROUND, SMOOTHING, captioned, shrunk, tiled, tinted
 from mechsearch.render.renderer import Renderer

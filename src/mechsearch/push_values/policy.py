@@ -12,7 +12,8 @@ from mechsearch.camera import preset
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.env.reward import RewardConfig
 from mechsearch.push_values.value import Continuation, PushValue
-from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
+from mechsearch.pushes.push import Push, draw_pushes
+from mechsearch.pushes.view import PlannedPush, Sight, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])

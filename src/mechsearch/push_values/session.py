@@ -25,7 +25,8 @@ from mechsearch.push_values.value import (
     networks_of,
     tensors_of,
 )
-from mechsearch.pushes import PlannedPush, Push, Sight, draw_pushes, view_pushes
+from mechsearch.pushes.push import Push, draw_pushes
+from mechsearch.pushes.view import PlannedPush, Sight, view_pushes
 from mechsearch.types import Array, MechSearchError
 
 EPISODES_FOLDER = "pushes"

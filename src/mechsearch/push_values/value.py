@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mechsearch.files.tensors import fill, part, prefixed
-from mechsearch.pushes import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
+from mechsearch.pushes.view import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
 from mechsearch.types import MechSearchError
 
 _REWARD, _ACTIONS = 5.0, 5.0

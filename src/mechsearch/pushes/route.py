@@ -1,16 +1,14 @@
 """Carries out a push by ordinary actions: the way to its start, and its waypoints."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.geometry import cap_length
-from mechsearch.pushes.push import Push
-from mechsearch.pushes.sight import Sight
-from mechsearch.types import ACTION_LENGTH, Floats, MechSearchError, Observation
+from mechsearch.types import ACTION_LENGTH, Floats
 
 _HIGHEST_PUSH = 0.2
 
@@ -148,51 +146,3 @@ class Route:
         beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > self.config.beside
         above = nearest[:, 2] > objects[:, 2] + self.config.above
         return bool((beside | above).all())
-
-
-_SEEN = RouteConfig(travel_clearance=0.03, beside=0.035, above=0.02)
-"""Teachers know the middles of objects, and keep away from them; a camera sees their surfaces."""
-
-
-class PlannedPush:
-    """One push, where the target was seen before it begins.
-
-    Attributes:
-        start: Where the push begins (3,) [m].
-        approach: Actions that the way to there will take, as planned.
-        length: Actions that the push itself will take, as planned.
-        flies: Whether it approaches over the heap.
-    """
-
-    def __init__(self, push: Push, sight: Sight) -> None:
-        """Plan the way.
-
-        Args:
-            push: What to do.
-            sight: Where; its target must be visible.
-
-        Raises:
-            MechSearchError: If no part of the target is visible.
-        """
-        if sight.centre is None:
-            raise MechSearchError("a push needs a target of which something is visible; got none")
-        self._target, self._others = sight.centre, sight.obstacles
-        self._route = Route(replace(_SEEN, clearance=push.height))
-        self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
-        way = np.vstack([sight.ee_position, self._route.waypoints])
-        first = len(way) - len(self._route.push)
-        self.start = way[first]
-        self.flies = first > 1
-        self.approach = self._actions(way[: first + 1])
-        self.length = self._actions(way[first:])
-
-    def act(self, obs: Observation) -> NDArray[np.float32] | None:
-        """Return the next action (3,), or None at the end; "ee_position" is read."""
-        return self._route.next(
-            np.asarray(obs["ee_position"], np.float64), self._target, self._others
-        )
-
-    def _actions(self, way: Floats) -> float:
-        """Return how many actions a way takes; a waypoint counts as reached from nearby."""
-        lengths = np.linalg.norm(np.diff(way, axis=0), axis=1) - self._route.config.tolerance
-        return float(np.ceil(np.maximum(lengths, 0) / ACTION_LENGTH).sum())

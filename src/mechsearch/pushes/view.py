@@ -1,4 +1,7 @@
-"""How a push looks: the images turned and moved into its own frame, and its numbers."""
+"""What images show of a heap, ways planned from it alone, and how pushes look in it.
+
+No privileged position is read.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,10 +10,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mechsearch.camera import Camera
 from mechsearch.pushes.push import KINDS, Push
-from mechsearch.pushes.route import PlannedPush
-from mechsearch.pushes.sight import Sight
-from mechsearch.types import Floats
+from mechsearch.pushes.route import Route, RouteConfig
+from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
 
 PATCH = (4, 32, 32)
 """Channels, rows and columns of a patch. Along a row the push goes forward, along a column to its
@@ -31,6 +34,115 @@ MIRRORED_NUMBERS = (0, 12)
 
 STRAIGHT_NUMBER = 8
 """Which of them is 1 for straight pushes and 0 for others."""
+
+_FINGERS = 0.022
+"""Distance from the end effector's axis within which a point is taken for the fingers [m]."""
+
+_ABOVE_HEAPS = 0.3
+_ON_TABLE = 0.012
+"""Points lower than this belong to the table [m]; depth is known to half a millimetre."""
+
+_SEEN = RouteConfig(travel_clearance=0.03, beside=0.035, above=0.02)
+"""Teachers know the middles of objects, and keep away from them; a camera sees their surfaces."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A heap as a camera sees it.
+
+    Attributes:
+        heights: Above the table, by pixel (H, W) [m]; 0 where the end effector hides it.
+        target: Visible pixels of the target (H, W).
+        centre: Middle of the target's visible surface (3,) [m], or None where none is visible.
+        obstacles: Points on everything that stands on the table (N, 3) [m].
+        ee_position: End effector (3,) [m].
+        camera: Of the images.
+    """
+
+    heights: Floats
+    target: NDArray[np.bool_]
+    centre: Floats | None
+    obstacles: Floats
+    ee_position: Floats
+    camera: Camera
+
+
+def look(obs: Observation, camera: Camera) -> Sight:
+    """Return what an observation shows.
+
+    Args:
+        obs: With "depth", "position_image" and "ee_position".
+        camera: Of its images.
+
+    Raises:
+        MechSearchError: If the images have another size than the camera's.
+    """
+    points = camera.back_project(np.asarray(obs["depth"])[0])
+    ee = np.asarray(obs["ee_position"], np.float64)
+    heights = np.where(_is_end_effector(points, ee), 0.0, points[..., 2])
+    offsets = np.asarray(obs["position_image"], np.float64)
+    target: NDArray[np.bool_] = (offsets != 0).any(axis=0)
+    centre = offsets[:, target].mean(axis=1) + ee if target.any() else None
+    standing = (heights > _ON_TABLE) & _every_second(*heights.shape)
+    return Sight(heights, target, centre, points[standing], ee, camera)
+
+
+def _is_end_effector(points: Floats, ee: Floats) -> Array:
+    away = points - ee
+    beside = np.hypot(away[..., 0], away[..., 1]) < _FINGERS
+    return (beside & (away[..., 2] > -0.01)) | (points[..., 2] > _ABOVE_HEAPS)
+
+
+@lru_cache(maxsize=8)
+def _every_second(height: int, width: int) -> NDArray[np.bool_]:
+    """Return every second pixel of every second row: enough to find a way between objects."""
+    mask = np.zeros((height, width), np.bool_)
+    mask[::2, ::2] = True
+    return mask
+
+
+class PlannedPush:
+    """One push, where the target was seen before it begins.
+
+    Attributes:
+        start: Where the push begins (3,) [m].
+        approach: Actions that the way to there will take, as planned.
+        length: Actions that the push itself will take, as planned.
+        flies: Whether it approaches over the heap.
+    """
+
+    def __init__(self, push: Push, sight: Sight) -> None:
+        """Plan the way.
+
+        Args:
+            push: What to do.
+            sight: Where; its target must be visible.
+
+        Raises:
+            MechSearchError: If no part of the target is visible.
+        """
+        if sight.centre is None:
+            raise MechSearchError("a push needs a target of which something is visible; got none")
+        self._target, self._others = sight.centre, sight.obstacles
+        self._route = Route(replace(_SEEN, clearance=push.height))
+        self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
+        way = np.vstack([sight.ee_position, self._route.waypoints])
+        first = len(way) - len(self._route.push)
+        self.start = way[first]
+        self.flies = first > 1
+        self.approach = self._actions(way[: first + 1])
+        self.length = self._actions(way[first:])
+
+    def act(self, obs: Observation) -> NDArray[np.float32] | None:
+        """Return the next action (3,), or None at the end; "ee_position" is read."""
+        return self._route.next(
+            np.asarray(obs["ee_position"], np.float64), self._target, self._others
+        )
+
+    def _actions(self, way: Floats) -> float:
+        """Return how many actions a way takes; a waypoint counts as reached from nearby."""
+        lengths = np.linalg.norm(np.diff(way, axis=0), axis=1) - self._route.config.tolerance
+        return float(np.ceil(np.maximum(lengths, 0) / ACTION_LENGTH).sum())
 
 
 @dataclass(frozen=True)

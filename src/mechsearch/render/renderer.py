@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
-from mechsearch.render.body import NO_HIT, body_of
-from mechsearch.render.visibility import PixelBlock, Projection, View
+from mechsearch.render.visibility import NO_HIT, PixelBlock, Projection, View, body_of, occlusion
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -78,16 +77,9 @@ class Frame:
 class _Seen:
     """What one camera saw last, without pusher and colour.
 
-    Attributes:
-        view: The camera's rays.
-        projection: Of all bodies, shared with other resolutions of the camera.
-        rays: Of the whole frame (H, W, 3).
-        empty: Depth (H, W) of table and floor.
-        colour: Likewise (H, W, 3).
-        endless: Whether there are pixels of `empty` without anything, where it is infinite.
-        poses: Of the objects (N, 7); not a number before the first frame.
-        patches: Of the objects.
-        depth: Of table, floor and objects (H, W), infinite where nothing is.
+    Depth is along the optical axis: of table and floor alone in `empty`, of the objects too in
+    `depth`; both are infinite where nothing is, which `endless` says can be. `projection` is shared
+    with other resolutions of the camera; `poses` (N, 7) are no numbers before the first frame.
     """
 
     view: View
@@ -156,11 +148,25 @@ class Renderer:
         frame = Frame(depth, None, seen.patches, shown)
         return replace(frame, rgb=self._colours(seen, frame.ids)) if colour else frame
 
-    def projection(self, camera: Camera) -> Projection:
-        """Return how the objects, and after them the pusher, last lay to a camera.
+    def occlusion(
+        self, camera: Camera, poses: Array, target: int, present: Array, pusher: Array
+    ) -> float:
+        """Return how much of one object others hide, in [0, 1]; see `visibility.occlusion`.
 
-        Views of the same camera at other resolutions share it.
+        Args:
+            camera: The view.
+            poses: Of every object (N, 7).
+            target: Index of the object in question.
+            present: Which objects are there to hide it (N,).
+            pusher: Pose (7,) of the end effector, which hides nothing, but is part of the frame
+                that follows: placing both at once is cheaper.
         """
+        projection = self._projection(camera)
+        projection.place(np.concatenate([poses, pusher[None]]))
+        return occlusion(self.bodies, camera, poses, target, present=present, projection=projection)
+
+    def _projection(self, camera: Camera) -> Projection:
+        """Return how all lay last to a camera; its views at other resolutions share it."""
         key = camera.world_from_camera
         if key not in self._projections:
             self._projections[key] = Projection(camera, self._all)
@@ -174,7 +180,7 @@ class Renderer:
             empty, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
             nothing = Patch((slice(0), slice(0)), empty[:0, :0])
             seen = self._seen[camera] = _Seen(
-                view, self.projection(camera), rays, empty, colour,
+                view, self._projection(camera), rays, empty, colour,
                 endless=bool((empty > NO_HIT).any()),
                 poses=np.full((count, 7), np.nan), patches=(nothing,) * count, depth=empty,
             )  # fmt: skip
@@ -222,8 +228,7 @@ class Renderer:
             index = len(self.bodies) if identity == PUSHER else identity
             start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
             pixels = ids == identity
-            hits = self._all[index].cast(start, seen.rays[pixels], rotation)
-            rgb[pixels] = self._all[index].colours(hits, rotation)
+            rgb[pixels] = self._all[index].colours(start, seen.rays[pixels], rotation)
         return rgb
 
     def _background(

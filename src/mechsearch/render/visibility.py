@@ -1,19 +1,25 @@
-"""Where objects may appear in a camera's image, its rays, and occlusion.
+"""Rays that meet objects: each object's own scene, where it may appear in an image, and occlusion.
 
 Occlusion is the share of an object's whole projection that other objects hide.
 """
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.render.body import NO_HIT, Body
+from mechsearch.objects.model import ObjectModel
 from mechsearch.types import Array, Floats
 
+NO_HIT = 1e30
+"""Distances above this met nothing."""
+
+_LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
 _ENDS, _BEYOND = np.array([1.0, -1.0, 1.0, -1.0]), np.array([0.0, 1.0, 0.0, 1.0])
 
 _NEAREST = 0.01
@@ -23,6 +29,74 @@ _NEAREST = 0.01
 PixelBlock = list[int]
 """A rectangle of pixels: top, bottom, left and right, the second and last beyond it. It may reach
 beyond the frame, and is empty where an end is not after its beginning."""
+
+
+class Body:
+    """One object's static scene; rays are moved into its frame and cast against it alone."""
+
+    def __init__(self, model: ObjectModel) -> None:
+        """Build the scene of a model's visual mesh."""
+        corners = model.vertices[model.faces]
+        self._scene = EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
+        low, high = model.vertices.min(axis=0), model.vertices.max(axis=0)
+        grid = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1)
+        self.corners: Floats = grid.reshape(8, 3)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        self._normals = normals / np.maximum(lengths, 1e-18)
+        self._texels = model.texels
+        self._rows = int((np.sqrt(8 * model.texels.shape[1] + 1) - 1) / 2)
+
+    def depths(
+        self, start: Array, directions: Array, rotation: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return how far rays from one point go before they meet the object.
+
+        Args:
+            start: Where all rays start, in the object's frame (3,) [m].
+            directions: Of the rays, in the world's frame (K, 3) float32.
+            rotation: Of the object (3, 3) float32.
+
+        Returns:
+            Distances (K,) in units of each ray's direction; above `NO_HIT` where it misses.
+        """
+        starts, local = _moved_into(start, directions, rotation)
+        found: NDArray[np.float32] = self._scene.run(starts, local, query="DISTANCE")
+        return found
+
+    def colours(
+        self, start: Array, directions: Array, rotation: NDArray[np.float32]
+    ) -> NDArray[np.uint8]:
+        """Return the shaded colour (K, 3) where rays, all of which meet the object, do so first.
+
+        Arguments are those of `depths`.
+        """
+        hit = self._scene.run(*_moved_into(start, directions, rotation), output=1)
+        triangle = hit["primID"]
+        n = self._rows
+        i = np.minimum((hit["u"] * n).astype(np.intp), n - 1)
+        j = np.clip((hit["v"] * n).astype(np.intp), 0, n - 1 - i)
+        base = self._texels[triangle, i * n - i * (i - 1) // 2 + j]
+        normals = self._normals[triangle] @ rotation.T
+        shade = 0.55 + 0.45 * np.abs(normals @ _LIGHT)
+        return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
+
+
+@cache
+def body_of(model: ObjectModel) -> Body:
+    """Return a model's scene, built once in each process."""
+    return Body(model)
+
+
+def _moved_into(
+    start: Array, directions: Array, rotation: NDArray[np.float32]
+) -> tuple[Array, Array]:
+    local = directions @ rotation
+    # All rays share the memory of one start.
+    return np.ndarray(
+        local.shape, np.float32, np.ascontiguousarray(start, np.float32), 0, (0, 4)
+    ), local
 
 
 class Projection:

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, METRICS, Estimate
-from mechsearch.evaluation.summary import SummaryRow
+from mechsearch.evaluation.episodes import HIGHER_IS_BETTER, METRICS, Estimate, SummaryRow
 from mechsearch.findings.analysis import TRADEOFF
 from mechsearch.findings.experiment import Condition
 from mechsearch.findings.tables import Scores, display

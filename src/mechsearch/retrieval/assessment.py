@@ -17,8 +17,7 @@ from mechsearch.grasp.graspability import (
     rate_target,
 )
 from mechsearch.grasp.network import GraspNetwork, load_network
-from mechsearch.heaps.dataset import object_set, open_heaps
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap, object_set, open_heaps
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper

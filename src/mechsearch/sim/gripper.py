@@ -122,11 +122,7 @@ def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, touches: int, table: int)
         _add_box(finger, f"finger{i}", gripper.finger_box, np.zeros(3), gripper, *bits)
     exclusion = spec.add_exclude()
     exclusion.bodyname1, exclusion.bodyname2 = "finger0", "finger1"
-    _couple(spec)
-
-
-def _couple(spec: mujoco.MjSpec) -> None:
-    """Let both fingers travel alike, as one motor drives them."""
+    # Both fingers travel alike, as one motor drives them.
     coupling = spec.add_equality()
     coupling.type = mujoco.mjtEq.mjEQ_JOINT
     coupling.objtype = mujoco.mjtObj.mjOBJ_JOINT

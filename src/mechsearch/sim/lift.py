@@ -19,9 +19,8 @@ from mechsearch.geometry import (
 )
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.scene import PhysicsConfig, compile_scene, reset_data, warned
+from mechsearch.sim.scene import PhysicsConfig, Workspace, compile_scene, reset_data, warned
 from mechsearch.sim.travel import Outlines
-from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats, MechSearchError
 
 

@@ -1,17 +1,17 @@
-"""Compiles objects, table, pusher or gripper, and walls for the physics engine."""
+"""Table, end effector and walls, and their compilation with objects for the physics engine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import Gripper, add_gripper, add_servo, add_slide, set_inertia
-from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.workspace import Workspace
-from mechsearch.types import Floats
+from mechsearch.types import Array, Floats
 
 AMONG_OBJECTS = 1
 """Bit of what collides with each other: parts of objects, pusher, gripper, walls."""
@@ -23,6 +23,9 @@ union of its parts would, at a fraction of the contacts."""
 SLIDING_AND_SPINNING = 4
 ROLLING_TOO = 6
 """Friction directions of a contact. Rolling friction acts on the table alone, where balls roll."""
+
+
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,105 @@ class PhysicsConfig:
     def steps(self) -> int:
         """Steps of one action."""
         return self.action_steps + self.rest_steps
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A square table at height 0 and the end effector's bounds above it.
+
+    Attributes:
+        half: Half the side of the bounds, about the origin [m].
+        low: Lowest height of the fingertip [m].
+        high: Greatest height of the fingertip [m].
+        table_half: Half the side of the table [m].
+        floor: Height of the floor around the table [m].
+    """
+
+    half: float = 0.3
+    low: float = 0.01
+    high: float = 0.25
+    table_half: float = 0.4
+    floor: float = -0.75
+
+    def clip(self, position: Array) -> Floats:
+        """Return the nearest position (3,) [m] inside the bounds."""
+        low, high = self._bounds
+        clipped: Floats = np.minimum(np.maximum(np.asarray(position, np.float64), low), high)
+        return clipped
+
+    @cached_property
+    def _bounds(self) -> tuple[Floats, Floats]:
+        low = np.array([-self.half, -self.half, self.low])
+        return low, np.array([self.half, self.half, self.high])
+
+    def sample(self, rng: np.random.Generator) -> Floats:
+        """Return a position (3,) [m] drawn uniformly from the bounds."""
+        return rng.uniform([-self.half, -self.half, self.low], [self.half, self.half, self.high])
+
+    def off_table(self, positions: Array) -> NDArray[np.bool_]:
+        """Return which objects, centres of mass (..., 3) and more, have left the table (...,)."""
+        beyond = np.abs(positions[..., :2]).max(axis=-1) > self.table_half
+        result: NDArray[np.bool_] = beyond | (positions[..., 2] < -0.05)
+        return result
+
+
+@dataclass(frozen=True)
+class Pusher:
+    """Geometry and control of the closed fingers. Its position is its lowest point.
+
+    Attributes:
+        radius: Of the capsule [m].
+        length: From tip to top [m].
+        mass: [kg].
+        stiffness: Of the position controller [N/m].
+        force: Largest force along each axis [N].
+        friction: Sliding coefficient.
+    """
+
+    radius: float = 0.012
+    length: float = 0.2
+    mass: float = 0.3
+    stiffness: float = 2000.0
+    force: float = 25.0
+    friction: float = 0.5
+
+    def pose(self, position: Floats) -> Floats:
+        """Return the pose (7,) of the visual model for a tip at `position` (3,)."""
+        return np.concatenate([position, _UPRIGHT])
+
+
+@cache
+def pusher_model(pusher: Pusher, sides: int = 16, rings: int = 4) -> ObjectModel:
+    """Return the pusher's mesh for rendering, its origin at the tip."""
+    angles = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    lifts = np.linspace(-np.pi / 2, 0, rings + 1)[1:]
+    radius, top = pusher.radius, pusher.length
+    heights = [radius + radius * np.sin(a) for a in lifts]
+    heights += [top - h for h in reversed(heights)]
+    radii = [radius * np.cos(a) for a in lifts]
+    radii += list(reversed(radii))
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rows = [
+        np.column_stack([circle * r, np.full(sides, h)])
+        for r, h in zip(radii, heights, strict=True)
+    ]
+    vertices = np.concatenate([[[0.0, 0.0, 0.0]], *rows, [[0.0, 0.0, top]]])
+    faces: list[tuple[int, int, int]] = []
+    last = len(vertices) - 1
+    for i in range(sides):
+        j = (i + 1) % sides
+        faces.append((0, 1 + j, 1 + i))
+        for row in range(len(rows) - 1):
+            a, b = 1 + row * sides, 1 + (row + 1) * sides
+            faces += [(a + i, a + j, b + j), (a + i, b + j, b + i)]
+        top_row = 1 + (len(rows) - 1) * sides
+        faces.append((top_row + i, top_row + j, last))
+    indices = np.array(faces, np.int32)
+    texels = np.full((len(indices), 1, 3), (60, 64, 72), np.uint8)
+    return ObjectModel(
+        "pusher", "robot", vertices, indices, texels, (vertices,), pusher.mass,
+        np.eye(3) * 1e-4, pusher.friction, 0.0, "",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.scene import PhysicsConfig, compile_scene
-from mechsearch.sim.workspace import Workspace
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, compile_scene
 from mechsearch.types import Array, Floats
 
 

@@ -8,10 +8,8 @@ import mujoco
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.pusher import Pusher
-from mechsearch.sim.scene import PhysicsConfig, Wall, compile_scene, reset_data
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
-from mechsearch.sim.workspace import Workspace
 from mechsearch.types import Array, Floats
 
 ENGINE_VERSION = str(mujoco.__version__)

@@ -7,8 +7,7 @@ from typing import Any
 
 from mechsearch.algorithm import Evaluator, RunConfig, TrainingSetup
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.evaluation.metrics import mean_interval, score
+from mechsearch.evaluation.episodes import EpisodeRecord, mean_interval, score
 from mechsearch.evaluation.rollout import run
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import HeapSet

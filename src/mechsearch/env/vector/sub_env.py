@@ -1,29 +1,69 @@
 """One environment of many, as the process that asks sees it."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
 
-from mechsearch.env.vector.hosting import Act, Acted, Begin, Begun
-from mechsearch.env.vector.quarantine import Quarantine
+from mechsearch.env.vector.hosting import Acted, Begin, Begun
 from mechsearch.processes import Failure
 from mechsearch.types import Array, MechSearchError
+
+STRIKES = 2
+"""A heap on which so many workers failed is quarantined."""
 
 MOST_FAILED_STARTS = 10
 """Failures in a row to begin an episode, on several heaps, after which no more are tried."""
 
 
-@dataclass
-class StepResult:
-    """What an environment has to tell when its turn comes."""
+class Quarantine:
+    """Counts the failures on each heap.
 
-    reward: float = 0.0
-    terminated: bool = False
-    truncated: bool = False
-    info: dict[str, Any] = field(default_factory=dict)
+    Attributes:
+        names: Seed of each quarantined heap, and why its last worker failed.
+    """
+
+    def __init__(self, seeds: Sequence[int]) -> None:
+        """Take the heaps' seeds."""
+        self._seeds = seeds
+        self._strikes: Counter[int] = Counter()
+        self.names: dict[int, str] = {}
+
+    def __contains__(self, heap: int) -> bool:
+        """Whether a heap, by its index, is quarantined."""
+        return self._strikes[heap] >= STRIKES
+
+    def strike(self, heap: int, reason: str) -> int | None:
+        """Count a failure; return the heap's seed if it is quarantined now."""
+        self._strikes[heap] += 1
+        if heap not in self:
+            return None
+        self.names[self._seeds[heap]] = reason
+        return self._seeds[heap]
+
+    def draw(self, rng: np.random.Generator, heap: int | None = None) -> int:
+        """Return the index of the heap that was asked for, or of one drawn as `HeapEnv.reset` does.
+
+        Raises:
+            MechSearchError: If it does not exist or is quarantined, or all are.
+        """
+        count = len(self._seeds)
+        if heap is not None:
+            if not 0 <= heap < count:
+                raise MechSearchError(f"heap {heap} does not exist; choose 0 to {count - 1}")
+            if heap in self:
+                name = self._seeds[heap]
+                reason = f"{self.names[name]}, {STRIKES} times"
+                raise MechSearchError(f"heap {heap} (seed {name}) is quarantined: {reason}")
+            return heap
+        if len(self.names) == count:
+            name, reason = list(self.names.items())[-1]
+            raise MechSearchError(f"all {count} heaps are quarantined; the last, {name}: {reason}")
+        while (drawn := int(rng.integers(count))) in self:
+            pass
+        return drawn
 
 
 class SubEnv:
@@ -51,19 +91,20 @@ class SubEnv:
 
         Args:
             env: Which environment.
-            shared: Where its worker writes its observations.
+            shared: Where the workers write all environments' observations (num_envs, ...).
             kept: Where they are kept.
             quarantine: Of the heaps, shared by all environments.
             same_step: Whether an episode that is over is followed by the next in the same step.
             no_reward: The reward's terms where a worker failed.
         """
-        self.kept = kept
+        self.kept = {key: rows[env] for key, rows in kept.items()}
+        self._shared = {key: rows[env] for key, rows in shared.items()}
         self.rng: np.random.Generator | None = None
         self.over = True
-        self.result = StepResult()
-        self._env, self._shared, self._quarantine = env, shared, quarantine
+        self.result = Acted(0.0, False, False, {})
+        self._env, self._quarantine = env, quarantine
         self._same_step, self._no_reward = same_step, no_reward
-        self._heap, self._occlusion = 0, 1.0
+        self._heap = 0
         self._beginning: Begin | None = None
         self._failed_starts = 0
 
@@ -75,12 +116,8 @@ class SubEnv:
         """
         if seed is not None or self.rng is None:
             self.rng, _ = seeding.np_random(seed)
-        self.result = StepResult()
+        self.result, self.over = Acted(0.0, False, False, {}), True
         return self._begin(options)
-
-    def act(self, action: Array) -> Act:
-        """Return the request that executes an action (3,)."""
-        return Act(self._env, action)
 
     def take(self, value: Begun | Acted | Failure) -> Begin | None:
         """Take a reply; return what must be asked before the turn's outcome is complete.
@@ -95,14 +132,13 @@ class SubEnv:
         else:
             self._keep()
         assert isinstance(value, Acted)
-        self.result = StepResult(*value)
+        self.result = value
         self.over = value.terminated or value.truncated
-        self._occlusion = value.info["occlusion"]
         return self._begin_next() if self.over and self._same_step else None
 
-    def _begin(self, options: Mapping[str, Any]) -> Begin:
+    def _begin(self, options: Mapping[str, Any], failed_starts: int = 0) -> Begin:
         assert self.rng is not None
-        self.over, self._failed_starts = True, 0
+        self._failed_starts = failed_starts
         heap = self._quarantine.draw(self.rng, options.get("heap"))
         self._beginning = Begin(self._env, heap, self.rng, options)
         return self._beginning
@@ -112,7 +148,8 @@ class SubEnv:
         info = self.result.info
         final: dict[str, Any] = {key: row.copy() for key, row in self.kept.items()}
         failed = {k: info[k] for k in ("failure", "quarantined") if info.get(k) is not None}
-        self.result.info = {"final_obs": final, "final_info": info, **failed}
+        shown = {"final_obs": final, "final_info": info, **failed}
+        self.result = self.result._replace(info=shown)
         return self._begin({})
 
     def _take_begun(self, begin: Begin, value: Begun | Acted | Failure) -> Begin | None:
@@ -122,8 +159,7 @@ class SubEnv:
         self._keep()
         self._beginning, self.over = None, False
         self.rng, self._heap = value.rng, begin.heap
-        self._occlusion = value.info["occlusion"]
-        self.result.info |= value.info
+        self.result.info.update(value.info)
         return None
 
     def _begin_again(self, begin: Begin, failure: Failure) -> Begin:
@@ -139,16 +175,13 @@ class SubEnv:
                 f"no episode begins, tried {self._failed_starts} times; the last time on heap "
                 f"{name}: {failure.reason}"
             )
-        assert self.rng is not None
-        heap = self._quarantine.draw(self.rng, begin.options.get("heap"))
-        self._beginning = replace(begin, heap=heap, rng=self.rng)
-        return self._beginning
+        return self._begin(begin.options, self._failed_starts)
 
     def _failed(self, failure: Failure) -> Acted:
         """Return the end of an episode whose worker failed: truncated, without reward."""
         info = {
             "reward_terms": dict(self._no_reward),
-            "occlusion": self._occlusion,
+            "occlusion": self.result.info["occlusion"],
             "end": f"failure: {failure.reason}",
             "failure": failure.reason,
             "clutter_moved": 0.0,

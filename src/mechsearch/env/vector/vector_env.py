@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,9 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoA
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.vector.hosting import Hosts, Look
-from mechsearch.env.vector.quarantine import Quarantine
-from mechsearch.env.vector.sub_env import SubEnv
+from mechsearch.env.heap_env import HeapEnv, make_env
+from mechsearch.env.vector.hosting import Act, Hosts, Look
+from mechsearch.env.vector.sub_env import Quarantine, SubEnv
 from mechsearch.processes import PROCESSORS, Failure
 from mechsearch.types import Array, MechSearchError
 
@@ -81,10 +81,10 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         self.closed = False
         shared = self._hosts.observations
         self._kept = {key: np.zeros_like(rows) for key, rows in shared.items()}
-        self._quarantine = Quarantine(env.heaps)
+        self._quarantine = Quarantine([heap.seed for heap in env.heaps])
         same_step, nothing = mode is AutoresetMode.SAME_STEP, env.no_reward
         self._sub_envs = [
-            SubEnv(i, _row(shared, i), _row(self._kept, i), self._quarantine, same_step, nothing)
+            SubEnv(i, shared, self._kept, self._quarantine, same_step, nothing)
             for i in range(num_envs)
         ]
         self._turn: deque[int] = deque()
@@ -122,7 +122,8 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         envs = [int(i) for i in np.flatnonzero(mask)]
         for request in [self._sub_envs[i].reset(seeds[i], passed) for i in envs]:
             self._hosts.ask(request)
-        _raise_first(self._await(envs))
+        if error := self._await(envs):
+            raise error
         infos = [(i, self._sub_envs[i].result.info) for i in envs]
         return self._seen(slice(None)), _batched(infos, self.num_envs)
 
@@ -170,7 +171,7 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             )
         for i, action in zip(envs, actions, strict=True):
             self._turn.append(i)
-            self._hosts.ask(self._sub_envs[i].act(action))
+            self._hosts.ask(Act(i, action))
 
     def receive(self, count: int) -> tuple[Array, Batch]:
         """Return what the actions sent longest ago led to.
@@ -186,10 +187,11 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         if not 1 <= count <= len(self._turn):
             raise NoAsyncCallError(f"receive({count}) of {len(self._turn)} that were sent", "step")
         envs = [self._turn[k] for k in range(count)]
-        errors = self._await(envs)
+        error = self._await(envs)
         for _ in envs:
             self._turn.popleft()
-        _raise_first(errors)
+        if error:
+            raise error
         results = [self._sub_envs[i].result for i in envs]
         return np.array(envs), (
             self._seen(envs),
@@ -233,26 +235,25 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
     def __del__(self) -> None:
         self.close()
 
-    def _await(self, envs: Sequence[int]) -> list[MechSearchError]:
+    def _await(self, envs: Sequence[int]) -> MechSearchError | None:
         """Wait until the outcomes of some environments are complete.
 
         Returns:
-            Why no episode can begin in one of them.
+            Why no episode can begin in one of them, if so.
         """
-        errors = []
+        error = None
         while not self._complete.issuperset(envs):
             for i, value in self._hosts.replies():
                 try:
                     request = self._sub_envs[i].take(value)
-                except MechSearchError as error:
-                    errors.append(error)
-                    request = None
+                except MechSearchError as found:
+                    error, request = error or found, None
                 if request is None:
                     self._complete.add(i)
                 else:
                     self._hosts.ask(request)
         self._complete.difference_update(envs)
-        return errors
+        return error
 
     def _seen(self, envs: Any) -> dict[str, Array]:
         return {key: np.array(rows[envs]) for key, rows in self._kept.items()}
@@ -269,9 +270,26 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             )
 
 
-def _raise_first(errors: Sequence[MechSearchError]) -> None:
-    if errors:
-        raise errors[0]
+def make_vector_env(
+    num_envs: int = 1,
+    workers: int | None = None,
+    time_limit: float = 60.0,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    **task: Any,
+) -> VectorHeapEnv:
+    """Return many environments in worker processes.
+
+    Args:
+        num_envs: Environments; this and the next three are as in `VectorHeapEnv`.
+        workers: Processes.
+        time_limit: Time after which an action or a reset hangs [s].
+        autoreset_mode: SAME_STEP or DISABLED.
+        task: What `make_env` takes.
+
+    Raises:
+        MechSearchError: If a name, number or setting is wrong, or heaps and objects do not fit.
+    """
+    return VectorHeapEnv(partial(make_env, **task), num_envs, workers, time_limit, autoreset_mode)
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -312,10 +330,6 @@ def _checked(actions: Any, count: int) -> Array:
             f"got shape {values.shape}: {values}"
         )
     return values
-
-
-def _row(batch: dict[str, Array], i: int) -> dict[str, Array]:
-    return {key: rows[i] for key, rows in batch.items()}
 
 
 def _batched(infos: Sequence[tuple[int, dict[str, Any]]], size: int) -> dict[str, Any]:

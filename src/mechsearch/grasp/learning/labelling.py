@@ -18,8 +18,7 @@ from mechsearch.grasp.grasp_view import GraspView, view_of_heap
 from mechsearch.grasp.image_grasp import FIELD, ImageGrasp, angle_bin
 from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps
 from mechsearch.grasp.learning.proposals import antipodal, uniform
-from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
-from mechsearch.heaps.heap import Heap
+from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld, Perturbation, perturbed

@@ -26,7 +26,7 @@ from mechsearch.grasp.image_grasp import ANGLES
 from mechsearch.grasp.learning.grasp_set import Grasps
 from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
-from mechsearch.heaps.heap import evenly_spread
+from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, MechSearchError
 

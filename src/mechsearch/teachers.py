@@ -1,13 +1,16 @@
-"""Who suggests actions while an agent learns, and scripted pushes as such a teacher."""
+"""Scripted policies on privileged positions, which suggest actions while learning, by name."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.pushes import Route, Shape
-from mechsearch.types import TEACHER_KEYS, Observation, Policy
+from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
+from mechsearch.pushes.push import Shape, spiral, straight, zigzag
+from mechsearch.pushes.route import Route
+from mechsearch.types import TEACHER_KEYS, MechSearchError, Observation, Policy
 
 
 @runtime_checkable
@@ -73,3 +76,45 @@ class PushTeacher:
     def _draw_direction(self) -> float:
         direction, self._next_direction = self._next_direction, None
         return float(self._rng.uniform(0, 2 * np.pi)) if direction is None else direction
+
+
+TEACHERS: dict[str, Callable[[], Teacher]] = {
+    "straight": partial(PushTeacher, straight),
+    "zigzag": partial(PushTeacher, zigzag),
+    "spiral": partial(PushTeacher, spiral),
+}
+"""What makes each teacher that has a name. Nothing is done for all of them: whoever means the
+paper's three says so."""
+
+PAPER_TEACHERS = ("straight", "zigzag", "spiral")
+"""The teachers of the paper (section III-C)."""
+
+
+def check_teacher(spec: str) -> None:
+    """Check a teacher's name without making it.
+
+    Raises:
+        MechSearchError: If it is neither in `TEACHERS` nor has the form `package.module:factory`.
+    """
+    if spec not in TEACHERS and not is_entry_point(spec):
+        raise MechSearchError(
+            f"unknown teacher {spec!r}; choose among {', '.join(TEACHERS)}, or name a function or "
+            "class that makes one as package.module:factory"
+        )
+
+
+def make_teacher(spec: str) -> Teacher:
+    """Return the teacher that a text names.
+
+    Args:
+        spec: A name in `TEACHERS`, or `package.module:factory`, a function without arguments, or a
+            class, that returns a `Teacher`.
+
+    Raises:
+        MechSearchError: If there is no such teacher, or it cannot be made.
+    """
+    check_teacher(spec)
+    made = (TEACHERS.get(spec) or load_entry_point(spec, "teacher"))()
+    members = ("keys", "reset(rng)", "act(obs)", "state()", "restore(state)")
+    teacher: Teacher = conforming(made, "teacher", spec, members)
+    return teacher
