@@ -5,8 +5,7 @@ import pytest
 
 from mechsearch.evaluation.episodes import save_episodes
 from mechsearch.evaluation.metrics import METRICS, Estimate
-from mechsearch.findings.analysis import analyse
-from mechsearch.findings.comparisons import compare_with_others, comparison_table, outcome
+from mechsearch.findings.analysis import analyse, compare_with_others, comparison_table, outcome
 from mechsearch.findings.experiment import Condition, read_experiment
 from mechsearch.findings.tables import MINUS
 

@@ -11,10 +11,9 @@ from mechsearch.findings.experiment import read_experiment
 from mechsearch.findings.failure_modes import SUCCESS, UNFINISHED
 from mechsearch.findings.tables import MINUS, Table
 from mechsearch.objects.model import ObjectModel
-from mechsearch.report import pdf
-from mechsearch.report.contents import document
+from mechsearch.report import document as pdf
+from mechsearch.report.contents import document, exemplary_episode, mode_pictures
 from mechsearch.report.document import Document, Paragraph, Picture, Section, to_html
-from mechsearch.report.episodes import exemplary_episode, mode_pictures
 from mechsearch.types import MechSearchError
 
 Models = Mapping[str, ObjectModel]

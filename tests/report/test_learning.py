@@ -6,9 +6,15 @@ import pytest
 from scipy import stats
 
 from mechsearch.findings.analysis import analyse, tradeoff_rows
-from mechsearch.findings.experiment import Condition, Experiment, read_experiment
-from mechsearch.findings.runs import CURVE_COLUMNS, Run, learning_curve
-from mechsearch.report import learning
+from mechsearch.findings.experiment import (
+    CURVE_COLUMNS,
+    Condition,
+    Experiment,
+    Run,
+    learning_curve,
+    read_experiment,
+)
+from mechsearch.report import figures as learning
 from mechsearch.report.figures import draw_tradeoff
 
 

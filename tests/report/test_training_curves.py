@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.findings.experiment import Condition, Experiment
-from mechsearch.findings.runs import Run, read_run
-from mechsearch.report import learning
+from mechsearch.findings.experiment import Condition, Experiment, Run, read_run
+from mechsearch.report import figures as learning
 from mechsearch.report.figures import to_svg
 from mechsearch.types import MechSearchError
 

@@ -22,8 +22,7 @@ from mechsearch.files import check_place, write_whole
 from mechsearch.findings import tables
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
-from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
-from mechsearch.pictures.video import FORMATS, write_film
+from mechsearch.pictures.film import FORMATS, Film, FilmConfig, filmstrip, start_and_end, write_film
 from mechsearch.processes import Mapper
 from mechsearch.sim.pusher import Pusher, pusher_model
 from mechsearch.types import MechSearchError

@@ -17,9 +17,8 @@ from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
 from mechsearch.objects.model import ObjectModel
 from mechsearch.report.contents import document
-from mechsearch.report.document import to_html
+from mechsearch.report.document import to_html, write_pdf
 from mechsearch.report.figures import draw_summary, to_svg
-from mechsearch.report.pdf import write_pdf
 
 
 @dataclass(frozen=True)

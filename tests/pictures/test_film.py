@@ -4,7 +4,7 @@ from PIL import Image
 
 from mechsearch.camera import preset
 from mechsearch.pictures.canvas import tinted
-from mechsearch.pictures.filmstrip import (
+from mechsearch.pictures.film import (
     PATH_COLOUR,
     Film,
     FilmConfig,

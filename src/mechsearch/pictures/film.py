@@ -1,21 +1,26 @@
-"""Pictures of recorded episodes: target green, path of the end effector blue (paper, Fig. 1).
+"""Recorded episodes as pictures and films: target green, path of the end effector blue.
 
-Poses are rendered again, so a picture of any size can be made from the record alone.
+Poses are rendered again, so a picture of any size can be made from the record alone. Films are GIF
+with Pillow alone, or MP4 with the `video` extra.
 """
 
+import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, preset
 from mechsearch.evaluation.episodes import EpisodeRecord
+from mechsearch.files import write_whole
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import SMOOTHING, captioned, shrunk, tiled, tinted
+from mechsearch.pictures.canvas import SMOOTHING, captioned, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import Floats, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError
 
+FORMATS = (".gif", ".mp4")
 PATH_COLOUR = (28, 98, 235)
 
 
@@ -74,35 +79,26 @@ class Film:
             step: From 0, the start, to T, the end.
             path: Whether to draw the end effector's path up to then.
         """
-        return self._finished(self._painted(step, step if path else 0), self._caption(step))
+        last = len(self.record.actions)
+        said = f"{step} action{'s' if step > 1 else ''}" if step else "start"
+        said += f": {self.record.occlusions[step]:.0%} hidden"
+        if 0 < step == last:
+            said += f", {self.record.end}"
+        return self._drawn(step, step if path else 0, said)
 
     def start_with_path(self) -> Image.Image:
         """Return the start with the whole path that is to come, as the paper's Fig. 1 has it."""
-        return self._finished(self._painted(0, len(self.record.actions)), self._caption(0))
-
-    def _painted(self, step: int, until: int) -> Image.Image:
-        tip = self.record.ee_positions[step]
-        frame = self._renderer.frame(
-            self._camera,
-            self.record.poses[step],
-            np.array([*tip, 1.0, 0.0, 0.0, 0.0]) if self._pusher else None,
-            colour=True,
+        return self._drawn(
+            0, len(self.record.actions), f"start: {self.record.occlusions[0]:.0%} hidden"
         )
-        assert frame.rgb is not None
-        image = Image.fromarray(tinted(frame.rgb, frame.modal(self.record.target)))
+
+    def _drawn(self, step: int, until: int, caption: str) -> Image.Image:
+        tip = self.record.ee_positions[step]
+        pusher = np.array([*tip, 1.0, 0.0, 0.0, 0.0]) if self._pusher else None
+        poses, target = self.record.poses[step], self.record.target
+        image = photographed(self._renderer, self._camera, poses, target, pusher)
         if until:
             draw_path(image, self._camera, self.record.ee_positions[: until + 1])
-        return image
-
-    def _caption(self, step: int) -> str:
-        hidden = f"{self.record.occlusions[step]:.0%} hidden"
-        last = len(self.record.actions)
-        if step == 0:
-            return f"start: {hidden}"
-        actions = f"{step} action{'s' if step > 1 else ''}"
-        return f"{actions}: {hidden}" + (f", {self.record.end}" if step == last else "")
-
-    def _finished(self, image: Image.Image, caption: str) -> Image.Image:
         size = self.config.size
         small = shrunk(image, size)
         return (
@@ -152,3 +148,68 @@ def _dot(
     draw: ImageDraw.ImageDraw, x: float, y: float, radius: float, colour: str | tuple[int, int, int]
 ) -> None:
     draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+
+def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
+    """Write an episode as GIF or MP4, whole or not at all; the last frame stays for a second.
+
+    Args:
+        path: Ends in .gif or .mp4.
+        film: The episode.
+        rate: Actions shown in a second.
+
+    Raises:
+        MechSearchError: If the format is unknown, the rate is not positive, or MP4 is asked for
+            without the `video` extra.
+    """
+    if rate <= 0:
+        raise MechSearchError(f"a film of {rate} actions a second; expected more than 0")
+    if path.suffix == ".gif":
+        write_whole(path, lambda partial: _write_gif(partial, film, rate))
+    elif path.suffix == ".mp4":
+        if importlib.util.find_spec("imageio_ffmpeg") is None:
+            raise MechSearchError(
+                f"writing {path} needs the video extra: install mechsearch[video], or choose .gif"
+            )
+        write_whole(path, lambda partial: _write_mp4(partial, film, rate))
+    else:
+        raise MechSearchError(
+            f"unknown film format {path.suffix!r}; choose one of {', '.join(FORMATS)}"
+        )
+
+
+def _write_gif(path: Path, film: Film, rate: float) -> None:
+    last = len(film.record.actions)
+    frames = [film.frame(step) for step in range(last + 1)]
+    # One palette for all frames, from the two that differ most: colours do not flicker.
+    palette = tiled([frames[0], frames[-1]], 2, gap=0).quantize(256, dither=Image.Dither.NONE)
+    reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    duration = round(1000 / rate)
+    reduced[0].save(
+        path,
+        save_all=True,
+        append_images=reduced[1:],
+        duration=[duration] * last + [duration + 1000],
+        loop=0,
+        disposal=1,
+    )
+
+
+def _write_mp4(path: Path, film: Film, rate: float) -> None:
+    import imageio_ffmpeg
+
+    last = len(film.record.actions)
+    steps = [*range(last + 1), *[last] * max(1, round(rate))]
+    first = _even(film.frame(0))
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (first.shape[1], first.shape[0]), fps=rate, macro_block_size=2, quality=8
+    )
+    writer.send(None)
+    for step in steps:
+        writer.send(_even(film.frame(step)))
+    writer.close()
+
+
+def _even(image: Image.Image) -> Array:
+    """Return the pixels without the last odd row or column, as the encoder needs."""
+    return np.ascontiguousarray(np.asarray(image)[: image.height // 2 * 2, : image.width // 2 * 2])
