@@ -14,32 +14,12 @@ from mechsearch.evaluation.metrics import (
     share_interval,
 )
 from mechsearch.files.fingerprint import mixed
-from mechsearch.findings.claims import (
-    GOALS,
-    PAPER,
-    Ruling,
-    ShareOfGap,
-    claim_rows,
-    difference,
-    rule,
-)
+from mechsearch.findings import claims, tables
 from mechsearch.findings.experiment import CURVE_COLUMNS, Condition, Experiment, curve_rows
 from mechsearch.findings.failure_modes import EPISODE_MODES
 from mechsearch.findings.scores import ScoredPolicy
-from mechsearch.findings.tables import (
-    Scores,
-    Table,
-    cell,
-    count_table,
-    display,
-    number,
-    percent,
-    plain_numbers,
-    score_table,
-    terms_table,
-)
+from mechsearch.findings.tables import TRADEOFF, Scores, Table
 
-TRADEOFF = ("episode_actions", "clutter_moved_m")
 COUNTED = ("reward", "visibility_change", "uncovered_rate")
 SCORES_NOTE = (
     "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed)."
@@ -48,13 +28,7 @@ SCORES_NOTE = (
 )
 _MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
 _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
-
-
-_OPENINGS = {
-    "better": "beats",
-    "undecided": "shows no clear difference from",
-    "worse": "loses to",
-}
+_OPENINGS = {"better": "beats", "undecided": "shows no clear difference from", "worse": "loses to"}
 _AMOUNTS = {"better": "less than", "undecided": "about as much as", "worse": "more than"}
 _SIGNS = {"better": "▲ ", "worse": "▼ ", "undecided": "≈ "}
 
@@ -88,8 +62,8 @@ class Analysis:
     """
 
     experiment: Experiment
-    paper: Sequence[Ruling]
-    goals: Sequence[Ruling]
+    paper: Sequence[claims.Ruling]
+    goals: Sequence[claims.Ruling]
     comparisons: Sequence[Comparison]
 
     @property
@@ -103,7 +77,7 @@ class Analysis:
     def numbers(self) -> dict[str, list[tuple[str, ...]]]:
         """Rows behind claims and figures, by a name for their file; headings first."""
         return {
-            "claims": claim_rows((*self.paper, *self.goals)),
+            "claims": claims.claim_rows((*self.paper, *self.goals)),
             "learning": [CURVE_COLUMNS, *curve_rows(self.experiment)],
             "tradeoff": tradeoff_rows(self.experiment),
         }
@@ -112,7 +86,8 @@ class Analysis:
 def analyse(experiment: Experiment) -> Analysis:
     """Return what an experiment says: of a sweep its claims, of others what beat what."""
     if experiment.plan is not None:
-        return Analysis(experiment, rule(PAPER, experiment), rule(GOALS, experiment), ())
+        paper, goals = (claims.rule(asked, experiment) for asked in (claims.PAPER, claims.GOALS))
+        return Analysis(experiment, paper, goals, ())
     comparisons = [
         compare_with_others(condition, name)
         for condition in experiment.conditions.values()
@@ -130,7 +105,8 @@ def tradeoff_rows(experiment: Experiment) -> list[tuple[str, ...]]:
             for name, seeds in condition.policies.items():
                 place = (condition.name, str(count or "all"), name, str(len(seeds)))
                 found = condition.scores_of(name, TRADEOFF, count)
-                rows += [(*place, m, *plain_numbers(e), str(e.heaps)) for m, e in found.items()]
+                for metric, mean in found.items():
+                    rows.append((*place, metric, *tables.plain_numbers(mean), str(mean.heaps)))
     return rows
 
 
@@ -144,12 +120,12 @@ def outcome(metric: str, difference: Estimate) -> str:
 def compare_with_others(condition: Condition, ours: str) -> Comparison:
     """Return how a policy compares with every other of its condition."""
     against = {
-        theirs: {m: difference(condition, m, ours, theirs) for m in METRICS}
+        theirs: {m: claims.difference(condition, m, ours, theirs) for m in METRICS}
         for theirs in condition.policies
         if theirs != ours
     }
     shown = {
-        theirs: f"{theirs} ({cell('reward', found['reward'], signed=True)})".replace("\n", ", ")
+        theirs: f"{theirs} ({tables.cell('reward', found['reward'], True)})".replace("\n", ", ")
         for theirs, found in against.items()
     }
     groups = "; it ".join(_grouped_in_words(_OPENINGS, "reward", against, shown))
@@ -163,10 +139,10 @@ def comparison_table(comparison: Comparison) -> Table:
     rows, marks = [], []
     for theirs, found in comparison.against.items():
         outcomes = [outcome(*one) for one in found.items()]
-        cells = [cell(*one, signed=True) for one in found.items()]
+        cells = [tables.cell(*one, signed=True) for one in found.items()]
         rows.append((theirs, *(_SIGNS[o] + text for o, text in zip(outcomes, cells, strict=True))))
         marks.append([one.replace("undecided", "") for one in outcomes])
-    labels = [display(metric).label.replace("[%]", "[points]") for metric in METRICS]
+    labels = [tables.display(metric).label.replace("[%]", "[points]") for metric in METRICS]
     caption = f"{comparison.ours} minus each other policy: ▲ better, ▼ worse, ≈ no clear difference"
     return Table(caption, ("against", *labels), tuple(rows), marks)
 
@@ -208,9 +184,9 @@ def score_tables(condition: Condition) -> list[Table]:
         "heaps": [str(row[METRICS[0]].heaps) for row in scores.values()],
     }
     return [
-        score_table(scores, f"Scores{where}", facts),
-        *(count_table(by_count, metric, where) for metric in COUNTED),
-        terms_table(scores, f"Reward terms{where}"),
+        tables.score_table(scores, f"Scores{where}", facts),
+        *(tables.count_table(by_count, metric, where) for metric in COUNTED),
+        tables.terms_table(scores, f"Reward terms{where}"),
     ]
 
 
@@ -220,10 +196,7 @@ def mode_table(condition: Condition) -> Table:
     for name, seeds in condition.policies.items():
         found = [episode.mode for one in seeds for episode in one.modes]
         shares = [share_interval([float(f == mode) for f in found]) for mode in EPISODE_MODES]
-        cells = [
-            f"{100 * s.mean:.0f}\n{100 * s.ci_low:.0f} to {100 * s.ci_high:.0f}" for s in shares
-        ]
-        rows.append((name, str(len(found)), *cells))
+        rows.append((name, str(len(found)), *(tables.cell("uncovered_rate", s) for s in shares)))
     columns = ("policy", "episodes", *(f"{mode} [%]" for mode in EPISODE_MODES))
     caption = (
         f"How the episodes of {condition.name} heaps end, all training seeds together, with "
@@ -278,8 +251,8 @@ def _against_teachers(condition: Condition, ours: str, against: Mapping[str, Sco
     There is none without a passive policy and a teacher to compare with.
     """
     teachers = tuple(condition.teachers)
-    gap = ShareOfGap(condition.name, "reward", ours, 1.0, teachers=teachers)
-    change = ShareOfGap(
+    gap = claims.ShareOfGap(condition.name, "reward", ours, 1.0, teachers=teachers)
+    change = claims.ShareOfGap(
         condition.name, "visibility_change", ours, 1.0, from_nothing=True, teachers=teachers
     )
     _, floor, best = gap.names(condition)
@@ -288,12 +261,12 @@ def _against_teachers(condition: Condition, ours: str, against: Mapping[str, Sco
     clearest = change.names(condition)[2]
 
     def mean(metric: str, name: str) -> str:
-        return number(metric, float(condition.matrices([name], metric)[0].mean()))
+        return tables.number(metric, float(condition.matrices([name], metric)[0].mean()))
 
-    def share(asked: ShareOfGap) -> str:
+    def share(asked: claims.ShareOfGap) -> str:
         found = asked.share(condition)
         undefined = "a share that is not defined (there is no gap)"
-        return undefined if np.isnan(found.mean) else percent(found)
+        return undefined if np.isnan(found.mean) else tables.percent(found)
 
     others = {teacher: teacher for teacher in teachers if teacher != ours}
     amounts = _grouped_in_words(_AMOUNTS, "clutter_moved_m", against, others)
@@ -309,7 +282,10 @@ def _against_teachers(condition: Condition, ours: str, against: Mapping[str, Sco
 
 
 def _grouped_in_words(
-    words: Mapping[str, str], metric: str, against: Mapping[str, Scores], shown: Mapping[str, str]
+    words: Mapping[str, str],
+    metric: str,
+    against: Mapping[str, Scores],
+    shown: Mapping[str, str],
 ) -> list[str]:
     """Return the other policies by how ours compares with them, such as "beats idle"."""
     outcomes = {theirs: outcome(metric, against[theirs][metric]) for theirs in shown}

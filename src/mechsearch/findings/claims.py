@@ -5,24 +5,19 @@ interval lies on the side that the question names, no if it lies on the other, a
 holds the threshold. Intervals are of the crossed bootstrap over training seeds and heaps.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import stats
 
 from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, Estimate, mean_interval
+from mechsearch.findings import tables
 from mechsearch.findings.bootstrap import SEED, estimated, percentile_interval, replicates
 from mechsearch.findings.experiment import PASSIVE, Condition, Experiment, learning_curve
-from mechsearch.findings.tables import (
-    MINUS,
-    Table,
-    difference_text,
-    display,
-    number,
-    percent,
-    plain_numbers,
-)
+from mechsearch.findings.tables import PAPER_METRICS, TRADEOFF, Table
 from mechsearch.types import Floats
 
 HOLDS, FAILS, UNDECIDED, UNMEASURED = "holds", "does not hold", "undecided", "not measured"
@@ -33,8 +28,6 @@ PAPER_TEACHERS = ("teacher-straight", "teacher-zigzag", "teacher-spiral")
 """Those that claims speak of, whichever others there are."""
 
 PAPER_CONDITIONS = ("single", "dual")
-PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
-"""What the paper's Figure 4 shows."""
 
 SMALL = 0.1
 """Share of the gap between doing nothing useful and the best teacher that does not matter."""
@@ -81,7 +74,7 @@ class Question:
     @property
     def about(self) -> str:
         """Condition and metric in words."""
-        return f"{self.condition}, {display(self.metric).label}"
+        return f"{self.condition}, {tables.display(self.metric).label}"
 
     def ask(self, experiment: Experiment) -> Answer:
         """Return the answer, or that it was not measured."""
@@ -90,9 +83,9 @@ class Question:
     def _unmeasured(self, figures: str) -> Answer:
         return Answer(self.about, figures, UNMEASURED)
 
-    def _compared(self, figures: str, estimate: Estimate, test: str) -> Answer:
-        """Return the answer by a difference of means, which has no words of its own yet."""
-        words = f"{figures}: {difference_text(self.metric, estimate)}"
+    def _better(self, figures: str, estimate: Estimate, test: str) -> Answer:
+        """Return the answer by a difference of means: is it an improvement?"""
+        words = f"{figures}: {tables.difference_text(self.metric, estimate)}"
         found = verdict(estimate, 0, HIGHER_IS_BETTER[self.metric])
         return Answer(self.about, words, found, test, estimate)
 
@@ -116,7 +109,7 @@ class Better(Question):
         matrices = dict(zip(names, condition.matrices(names, self.metric), strict=True))
         estimate = difference(condition, self.metric, *names)
         test = f"paired difference, {_sizes(condition, matrices)}"
-        return self._compared(_means(self.metric, matrices), estimate, test)
+        return self._better(_means(self.metric, matrices), estimate, test)
 
 
 @dataclass(frozen=True)
@@ -152,7 +145,7 @@ class ShareOfGap(Question):
         if np.isnan(estimate.mean):
             figures += f"{names[2]} is no better, there is no gap"
             return Answer(self.about, figures, UNDECIDED)
-        figures += f"{percent(estimate)} of the {'change' if self.from_nothing else 'gap'}"
+        figures += f"{tables.percent(estimate)} of the {'change' if self.from_nothing else 'gap'}"
         figures += " lost" if self.lost_by else ""
         sizes = _sizes(condition, dict(zip(names, matrices, strict=True)))
         test = f"{'more' if self.above else 'less'} than {self.least:.0%}; {sizes}"
@@ -193,7 +186,7 @@ class Harder(Question):
     @property
     def about(self) -> str:
         """Conditions and metric in words."""
-        return f"{self.condition} against {self.easier}, {display(self.metric).label}"
+        return f"{self.condition} against {self.easier}, {tables.display(self.metric).label}"
 
     def ask(self, experiment: Experiment) -> Answer:
         """See `Question`."""
@@ -209,7 +202,7 @@ class Harder(Question):
         shown = _means(self.metric, {self.condition: harder, self.easier: easier})
         seeds = _seeds([(self.ours, len(harder)), (self.ours, len(easier))])
         test = f"unpaired difference, {heaps[0]} and {heaps[1]} heaps, {seeds}"
-        figures = f"{shown}: {difference_text(self.metric, estimate)}"
+        figures = f"{shown}: {tables.difference_text(self.metric, estimate)}"
         found = verdict(estimate, 0, not HIGHER_IS_BETTER[self.metric])
         return Answer(self.about, figures, found, test, estimate)
 
@@ -232,7 +225,7 @@ class Level(Question):
         matrices = condition.matrices([self.ours], self.metric)
         estimate = estimated(matrices)
         ends = (estimate.mean, estimate.ci_low, estimate.ci_high, self.least)
-        mean, low, high, least = (number(self.metric, end) for end in ends)
+        mean, low, high, least = (tables.number(self.metric, end) for end in ends)
         test = f"more than {least}; {_sizes(condition, {self.ours: matrices[0]})}"
         figures = f"{self.ours} {mean} ({low} to {high})"
         return Answer(self.about, figures, verdict(estimate, self.least, True), test, estimate)
@@ -256,11 +249,11 @@ class Rises(Question):
         if drawn is None or drawn.steps[0] > 0 or place < 1:
             return self._unmeasured(f"the curve of {self.ours} from its beginning")
         first, last = drawn.seeds[:, 0], drawn.seeds[:, place]
-        start, end = (number(self.metric, float(values.mean())) for values in (first, last))
+        start, end = (tables.number(self.metric, float(values.mean())) for values in (first, last))
         figures = f"{start} untrained, {end} after {drawn.steps[place]:,.0f} actions"
         seeds = len(first)
         test = "1 seed: no interval" if seeds == 1 else f"Student's t over {seeds} seeds"
-        return self._compared(figures, mean_interval(last - first), test)
+        return self._better(figures, mean_interval(last - first), test)
 
 
 @dataclass(frozen=True)
@@ -283,9 +276,7 @@ class QuickerMovesMore(Question):
         names = [name for name in condition.policies if name not in others]
         if len(names) < 4:
             return self._unmeasured("fewer than four policies that act")
-        actions, moved = (
-            condition.matrices(names, metric) for metric in ("episode_actions", "clutter_moved_m")
-        )
+        actions, moved = (condition.matrices(names, metric) for metric in TRADEOFF)
         points = [np.array([[one.mean()] for one in values]) for values in (actions, moved)]
         # The same generator draws the same seeds and heaps for both metrics.
         drawn = [replicates(values, np.random.default_rng(SEED)) for values in (actions, moved)]
@@ -295,7 +286,7 @@ class QuickerMovesMore(Question):
         figures = (
             f"rank correlation of {len(names)} policies {estimate.mean:.2f} "
             f"({estimate.ci_low:.2f} to {estimate.ci_high:.2f})"
-        ).replace("-", MINUS)
+        ).replace("-", tables.MINUS)
         test = f"below 0; {_sizes(condition, dict(zip(names, moved, strict=True)))}"
         return Answer(self.about, figures, verdict(estimate, 0, False), test, estimate)
 
@@ -342,11 +333,8 @@ def _everywhere(
 
 
 def _less_clutter(ours: str) -> tuple[Question, ...]:
-    return tuple(
-        Better(condition, "clutter_moved_m", ours, teacher)
-        for condition in PAPER_CONDITIONS
-        for teacher in PAPER_TEACHERS
-    )
+    pairs = product(PAPER_CONDITIONS, PAPER_TEACHERS)
+    return tuple(Better(c, "clutter_moved_m", ours, teacher) for c, teacher in pairs)
 
 
 def _essential(without: str) -> tuple[Question, ...]:
@@ -436,16 +424,13 @@ def combined(verdicts: Sequence[str]) -> str:
 
 def overview_table(rulings: Sequence[Ruling]) -> Table:
     """Return one row for each claim."""
-    rows = []
+    rows, marks = [], []
     for ruling in rulings:
-        verdicts = [answer.verdict for answer in ruling.answers]
-        counts = ", ".join(
-            f"{verdicts.count(kind)} {kind}"
-            for kind in (HOLDS, FAILS, UNDECIDED, UNMEASURED)
-            if kind in verdicts
-        )
-        rows.append((ruling.words, ruling.verdict, counts if len(verdicts) > 1 else "one row"))
-    marks = [[_MARKS.get(ruling.verdict, ""), ""] for ruling in rulings]
+        counts = Counter(answer.verdict for answer in ruling.answers)
+        known = (kind for kind in (HOLDS, FAILS, UNDECIDED, UNMEASURED) if counts[kind])
+        said = ", ".join(f"{counts[kind]} {kind}" for kind in known)
+        rows.append((ruling.words, ruling.verdict, said if counts.total() > 1 else "one row"))
+        marks.append([_MARKS.get(ruling.verdict, ""), ""])
     return Table("", ("claim", "verdict", "rows"), tuple(rows), marks, True, (64, 15, 24))
 
 
@@ -462,7 +447,7 @@ def claim_rows(rulings: Sequence[Ruling]) -> list[tuple[str, ...]]:
     """Return every answer as text and plain numbers, for a CSV file; headings first."""
     head = ("claim", "about", "verdict", "estimate", "ci_low", "ci_high", "figures", "test")
     rows = [
-        (r.words, a.about, a.verdict, *plain_numbers(a.estimate), a.figures, a.test)
+        (r.words, a.about, a.verdict, *tables.plain_numbers(a.estimate), a.figures, a.test)
         for r in rulings
         for a in r.answers
     ]
@@ -494,14 +479,13 @@ def resolved(
     names = [one for one in condition.policies if one in among and condition.measured(metric, one)]
     if not names:
         return ""
-    means = [float(values.mean()) for values in condition.matrices(names, metric)]
-    best = int(np.argmax(means) if HIGHER_IS_BETTER[metric] else np.argmin(means))
-    return names[best]
+    means = [values.mean() for values in condition.matrices(names, metric)]
+    return names[int(np.argmax(means) if HIGHER_IS_BETTER[metric] else np.argmin(means))]
 
 
 def _means(metric: str, matrices: Mapping[str, Floats]) -> str:
     """Return the mean of each matrix (S, H) by its name."""
-    return ", ".join(f"{n} {number(metric, float(m.mean()))}" for n, m in matrices.items())
+    return ", ".join(f"{n} {tables.number(metric, float(m.mean()))}" for n, m in matrices.items())
 
 
 def _sizes(condition: Condition, matrices: Mapping[str, Floats]) -> str:

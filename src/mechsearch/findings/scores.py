@@ -164,12 +164,8 @@ def save_scores(path: Path, scored: ScoredPolicy) -> None:
         path: Ends in `SCORES_SUFFIX`.
         scored: What was measured.
     """
-    text = {
-        "scores_format": SCORES_FORMAT,
-        "digest": scored.digest,
-        "header": dict(scored.header),
-        "metrics": list(scored.values),
-    }
+    text: dict[str, Any] = {"scores_format": SCORES_FORMAT, "digest": scored.digest}
+    text |= {"header": dict(scored.header), "metrics": list(scored.values)}
     arrays: dict[str, Array] = {
         "text": np.frombuffer(json.dumps(text, sort_keys=True).encode(), np.uint8),
         "heaps": scored.heaps,

@@ -9,6 +9,9 @@ from mechsearch.evaluation.metrics import GRASP_METRICS, METRICS, Estimate
 
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"
+TRADEOFF = ("episode_actions", "clutter_moved_m")
+PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
+"""What the paper's Figure 4 shows."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from mechsearch.render.renderer import Renderer
 from mechsearch.types import Array, Floats, MechSearchError
 
 FORMATS = (".gif", ".mp4")
+Models = Mapping[str, ObjectModel]
 PATH_COLOUR = (28, 98, 235)
 
 
@@ -45,7 +46,7 @@ class Film:
     def __init__(
         self,
         record: EpisodeRecord,
-        models: Mapping[str, ObjectModel],
+        models: Models,
         config: FilmConfig,
         pusher: ObjectModel | None = None,
     ) -> None:
@@ -72,44 +73,38 @@ class Film:
         self._pusher = pusher is not None
         self._camera = preset(config.camera, config.size * SMOOTHING)
 
-    def frame(self, step: int, path: bool = True) -> Image.Image:
-        """Return the state after `step` actions, with the path that led there.
+    def frame(self, step: int, until: int | None = None) -> Image.Image:
+        """Return the state after some actions, with a path of the end effector from the start.
 
         Args:
             step: From 0, the start, to T, the end.
-            path: Whether to draw the end effector's path up to then.
+            until: Step at which the path ends, 0 for none; by default the one that is shown.
         """
-        last = len(self.record.actions)
-        said = f"{step} action{'s' if step > 1 else ''}" if step else "start"
-        said += f": {self.record.occlusions[step]:.0%} hidden"
-        if 0 < step == last:
-            said += f", {self.record.end}"
-        return self._drawn(step, step if path else 0, said)
-
-    def start_with_path(self) -> Image.Image:
-        """Return the start with the whole path that is to come, as the paper's Fig. 1 has it."""
-        return self._drawn(
-            0, len(self.record.actions), f"start: {self.record.occlusions[0]:.0%} hidden"
+        record, last = self.record, len(self.record.actions)
+        pose = np.array([*record.ee_positions[step], 1.0, 0.0, 0.0, 0.0])
+        pusher = pose if self._pusher else None
+        image = photographed(
+            self._renderer, self._camera, record.poses[step], record.target, pusher
         )
-
-    def _drawn(self, step: int, until: int, caption: str) -> Image.Image:
-        tip = self.record.ee_positions[step]
-        pusher = np.array([*tip, 1.0, 0.0, 0.0, 0.0]) if self._pusher else None
-        poses, target = self.record.poses[step], self.record.target
-        image = photographed(self._renderer, self._camera, poses, target, pusher)
-        if until:
-            draw_path(image, self._camera, self.record.ee_positions[: until + 1])
-        size = self.config.size
-        small = shrunk(image, size)
-        return (
-            captioned(small, caption, text=max(11, size // 20)) if self.config.captions else small
-        )
+        path = record.ee_positions[: (step if until is None else until) + 1]
+        if len(path) > 1:
+            draw_path(image, self._camera, path)
+        small = shrunk(image, self.config.size)
+        if not self.config.captions:
+            return small
+        words = f"{step} action{'s' if step > 1 else ''}" if step else "start"
+        words += f": {record.occlusions[step]:.0%} hidden"
+        words += f", {record.end}" if 0 < step == last else ""
+        return captioned(small, words, text=max(11, self.config.size // 20))
 
 
-def start_and_end(film: Film) -> Image.Image:
-    """Return the start with the whole path, and the end, side by side (paper, Fig. 1)."""
-    last = len(film.record.actions)
-    return tiled([film.start_with_path(), film.frame(last, path=False)], 2)
+def start_and_end(*films: Film) -> Image.Image:
+    """Return each start with the whole path, and the end, side by side (paper, Fig. 1)."""
+    pairs = []
+    for film in films:
+        last = len(film.record.actions)
+        pairs.append(tiled([film.frame(0, until=last), film.frame(last, until=0)], 2))
+    return tiled(pairs, len(pairs), gap=18)
 
 
 def filmstrip(film: Film, frames: int = 5) -> Image.Image:

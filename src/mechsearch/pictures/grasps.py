@@ -10,14 +10,7 @@ from mechsearch.camera import Camera, look_at
 from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.image_grasp import ImageGrasp
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import (
-    SMOOTHING,
-    captioned,
-    photographed,
-    shrunk,
-    tiled,
-    tinted,
-)
+from mechsearch.pictures import canvas
 from mechsearch.render.renderer import Renderer
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftFrame
@@ -65,7 +58,7 @@ def draw_grasps(
         pen.line([*map(tuple, ends)], colour, max(1, width // 2))
         for end in ends:
             pen.line([tuple(end - across), tuple(end + across)], colour, width)
-    return captioned(picture, caption, text=max(12, size // 28))
+    return canvas.captioned(picture, caption, text=max(12, size // 28))
 
 
 def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8]:
@@ -77,7 +70,7 @@ def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8
     near = float(np.percentile(depth, 1))
     grey = 235 - 190 * np.clip((depth - near) / max(view.far - near, 1e-3), 0, 1)
     colour = np.repeat(grey[..., None], 3, axis=2)
-    return tinted(colour.astype(np.uint8), view.mask[np.ix_(rows, columns)])
+    return canvas.tinted(colour.astype(np.uint8), view.mask[np.ix_(rows, columns)])
 
 
 def _colour(quality: float) -> tuple[int, int, int]:
@@ -113,7 +106,7 @@ def lift_strip(
         raise MechSearchError("the film of this lift has no frames; pass a list as its `film`")
     middle = frames[-1].gripper[1:, :3].mean(axis=0) * [1, 1, 0] + [0, 0, 0.1]
     eye = middle + 0.55 * _across(frames[0].gripper) + [0.0, 0.0, 0.4]
-    pixels, text = size * SMOOTHING, max(11, size // 13)
+    pixels, text = size * canvas.SMOOTHING, max(11, size // 13)
     centre = (pixels - 1) / 2
     pose, focal = look_at(eye, middle, (0, 0, 1)), 1.45 * pixels
     camera = Camera(pixels, pixels, focal, focal, centre, centre, pose)
@@ -121,10 +114,10 @@ def lift_strip(
     tiles = []
     for frame in (frames[i] for i in _spread(frames, count)):
         poses = np.concatenate([frame.poses, frame.gripper])
-        tile = shrunk(photographed(renderer, camera, poses, target), size)
+        tile = canvas.shrunk(canvas.photographed(renderer, camera, poses, target), size)
         ImageDraw.Draw(tile).text((4, 2), frame.phase, "white", font_size=text)
         tiles.append(tile)
-    return captioned(tiled(tiles, len(tiles), gap=0), caption, text=text)
+    return canvas.captioned(canvas.tiled(tiles, len(tiles), gap=0), caption, text=text)
 
 
 def _across(parts: Floats) -> Floats:

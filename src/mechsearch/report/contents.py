@@ -18,13 +18,9 @@ from mechsearch.findings.experiment import EVALUATIONS, Condition, Experiment
 from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
 from mechsearch.findings.tables import number
-from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import tiled
-from mechsearch.pictures.film import Film, FilmConfig, filmstrip, start_and_end
+from mechsearch.pictures.film import Film, FilmConfig, Models, filmstrip, start_and_end
 from mechsearch.report import figures
 from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
-
-Models = Mapping[str, Mapping[str, ObjectModel]]
 
 SHOWN_MODES = (SUCCESS, BACK_AND_FORTH, HOVERING)
 _FRAMES, _STRIP, _PAIR = 4, 320, 224
@@ -48,7 +44,7 @@ _PANELS = (
 )
 
 
-def document(found: Analysis, title: str, models: Models | None = None) -> Document:
+def document(found: Analysis, title: str, models: Mapping[str, Models] | None = None) -> Document:
     """Return the whole report.
 
     Args:
@@ -159,7 +155,7 @@ def _scores(experiment: Experiment) -> Iterator[Content]:
     yield Paragraph(analysis.SCORES_NOTE, "note")
 
 
-def _modes(experiment: Experiment, models: Models) -> Iterator[Content]:
+def _modes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         yield analysis.mode_table(condition)
         if name in models:
@@ -167,7 +163,7 @@ def _modes(experiment: Experiment, models: Models) -> Iterator[Content]:
     yield Paragraph(failure_modes.DEFINITION, "note")
 
 
-def _episodes(experiment: Experiment, models: Models) -> Iterator[Content]:
+def _episodes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         if name in models:
             yield Paragraph(
@@ -179,7 +175,7 @@ def _episodes(experiment: Experiment, models: Models) -> Iterator[Content]:
             yield from ranked_pictures(condition, models[name])
 
 
-def mode_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> Iterator[Picture]:
+def mode_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
     """Yield filmstrips of one success and one episode of each failure mode (paper, Fig. 1 and 6).
 
     Args:
@@ -225,7 +221,7 @@ def exemplary_episode(condition: Condition, mode: str) -> tuple[ScoredPolicy, in
     return None
 
 
-def ranked_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> Iterator[Picture]:
+def ranked_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
     """Yield start and end of every policy on three heaps: the first that learnt ranks them.
 
     Args:
@@ -240,15 +236,15 @@ def ranked_pictures(condition: Condition, models: Mapping[str, ObjectModel]) -> 
             continue
         records = {record.heap_seed: record for record in load_episodes(scored.path).episodes}
         shown = {rank: records[heap] for rank, heap in heaps.items() if heap in records}
-        pairs = [start_and_end(Film(record, models, config)) for record in shown.values()]
+        films = [Film(record, models, config) for record in shown.values()]
         caption = "; ".join(
             f"{rank}: {_uncovering(record)} ({record.end}), reward "
             f"{number('reward', float(record.rewards.sum()))}"
             for rank, record in shown.items()
         )
-        if pairs:
-            alt = f"Start and end of {len(pairs)} episodes. {name}: {caption}"
-            yield Picture(_encoded(tiled(pairs, len(pairs), gap=18)), alt, f"{name}, {caption}.")
+        if films:
+            alt = f"Start and end of {len(films)} episodes. {name}: {caption}"
+            yield Picture(_encoded(start_and_end(*films)), alt, f"{name}, {caption}.")
 
 
 def _uncovering(record: EpisodeRecord) -> str:

@@ -289,8 +289,7 @@ class _Pages(FPDF):
 def _widths(table: Table) -> tuple[float, ...]:
     """Return a width for each column by its longest line, or word of its bold heading."""
     widths = []
-    for i, heading in enumerate(table.columns):
-        lines = [line for row in table.rows for line in row[i].split("\n")]
-        words = [1.25 * len(word) for word in heading.split()]
-        widths.append(2 + max(*map(len, lines), *words, 4))
+    for heading, *cells in zip(table.columns, *table.rows, strict=True):
+        lines = [line for text in cells for line in text.split("\n")]
+        widths.append(2 + max(*map(len, lines), *(1.25 * len(w) for w in heading.split()), 4))
     return tuple(widths)

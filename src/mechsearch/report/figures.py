@@ -6,10 +6,9 @@ Figures 4 and 5 have them.
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.style
 import numpy as np
@@ -19,8 +18,6 @@ from matplotlib.figure import Figure
 
 from mechsearch.evaluation.metrics import HIGHER_IS_BETTER, METRICS, Estimate
 from mechsearch.evaluation.summary import SummaryRow
-from mechsearch.findings.analysis import TRADEOFF
-from mechsearch.findings.claims import PAPER_METRICS
 from mechsearch.findings.experiment import (
     Condition,
     Experiment,
@@ -28,7 +25,7 @@ from mechsearch.findings.experiment import (
     Run,
     learning_curve,
 )
-from mechsearch.findings.tables import Scores, display
+from mechsearch.findings.tables import PAPER_METRICS, TRADEOFF, Scores, display
 from mechsearch.types import Floats, MechSearchError
 
 # Okabe and Ito's colours, told apart by colour-blind readers; yellow is left out on white paper.
@@ -320,8 +317,7 @@ def draw_training(run: Run) -> Figure | None:
     return figure
 
 
-@dataclass(frozen=True)
-class _Diagram:
+class _Diagram(NamedTuple):
     """Some numbers of one kind of record, beside each other."""
 
     title: str
@@ -397,7 +393,7 @@ def _curves_panel(
         return
     # Bands of few seeds may be far wider than what is to be seen.
     margin = 0.08 * (max(heights) - min(heights) or 1)
-    limits = (min(heights) - margin, max(heights) + margin)
+    limits = np.array([min(heights) - margin, max(heights) + margin])
     scale, marks = display(metric).scale, policy_marks(variants)
     for name, found in drawn.items():
         _draw_curve(ax, found, scale, limits, name, marks[name][0])
@@ -409,14 +405,14 @@ def _curves_panel(
     if not drawn and ends:
         # Final scores alone: at their place in the panels that have curves.
         ax.set_xlim(0, 1.05 * max(actions.values()))
-    ax.set_ylim(limits[0] * scale, limits[1] * scale)
+    ax.set_ylim(*limits * scale)
     _draw_levels(ax, {name: level * scale for name, level in levels.items()})
 
 
 def _draw_curve(
-    ax: Axes, found: LearningCurve, scale: float, limits: Sequence[float], name: str, colour: str
+    ax: Axes, found: LearningCurve, scale: float, limits: Floats, name: str, colour: str
 ) -> None:
-    """Draw the mean, and where there are several seeds each of them and the band."""
+    """Draw the mean, and where there are several seeds each of them and the band within limits."""
     if len(found.seeds) > 1:
         low = np.clip([mean.ci_low for mean in found.means], *limits) * scale
         high = np.clip([mean.ci_high for mean in found.means], *limits) * scale
