@@ -31,8 +31,7 @@ _TaskOptions: Any = optional(TaskConfig)
 
 _NOTE = (
     "Means over heaps with 95 % confidence intervals (Student's t; Wilson's for the share "
-    "uncovered). Every episode counts, lost targets and failed simulations included; an unfinished "
-    "one counts all its actions. Clutter moved is the path length of a non-target object."
+    f"uncovered). {tables.EPISODES_NOTE}"
 )
 
 

@@ -23,8 +23,7 @@ from mechsearch.findings.tables import TRADEOFF, Scores, Table
 COUNTED = ("reward", "visibility_change", "uncovered_rate")
 SCORES_NOTE = (
     "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed)."
-    " Every episode counts, lost targets and failed simulations included; an unfinished one counts "
-    "all its actions. Clutter moved is the path length of a non-target object."
+    f" {tables.EPISODES_NOTE}"
 )
 _MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
 _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)

@@ -174,12 +174,7 @@ def save_scores(path: Path, scored: ScoredPolicy) -> None:
         "modes": np.array([EPISODE_MODES.index(one.mode) for one in scored.modes], np.uint8),
         "stretches": np.array([one.stretch for one in scored.modes], np.uint16),
     }
-
-    def write(partial: Path) -> None:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-
-    write_whole(path, write)
+    write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))
 
 
 def load_scores(path: Path) -> ScoredPolicy:

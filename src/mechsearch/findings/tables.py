@@ -13,6 +13,11 @@ TRADEOFF = ("episode_actions", "clutter_moved_m")
 PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
 """What the paper's Figure 4 shows."""
 
+EPISODES_NOTE = (
+    "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
+    "all its actions. Clutter moved is the path length of a non-target object."
+)
+
 
 @dataclass(frozen=True)
 class Display:

@@ -148,14 +148,12 @@ def draw_tradeoff(condition: Condition) -> Figure:
     columns = min(len(counts), 4)
     with _style():
         figure, axes = panels(len(counts), columns, PRINTED_WIDTH / columns, 2.4)
-        for i, (ax, count, panel) in enumerate(zip(axes, counts, found, strict=True)):
+        for ax, count, panel in zip(axes, counts, found, strict=True):
             _tradeoff_panel(ax, panel, limits)
             ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
-            if i % columns == 0:
-                ax.set_ylabel(display(TRADEOFF[1]).label)
-            if i + columns >= len(counts):
-                ax.set_xlabel("actions used")
-        _add_legend(figure, axes, ncols=5, fontsize=8)
+        for ax in axes[::columns]:
+            ax.set_ylabel(display(TRADEOFF[1]).label)
+        _label_below(figure, axes, columns, "actions used", ncols=5, fontsize=8)
     return figure
 
 
@@ -256,8 +254,12 @@ def _scaled(estimate: Estimate, scale: float) -> tuple[float, float, float]:
     return estimate.mean * scale, estimate.ci_low * scale, estimate.ci_high * scale
 
 
-def _add_legend(figure: Figure, axes: Iterable[Axes], **looks: int) -> None:
-    """Name below a figure what its panels show, each thing once."""
+def _label_below(
+    figure: Figure, axes: Sequence[Axes], columns: int, axis: str, **looks: int
+) -> None:
+    """Name the axis below the lowest panels, and below them what they show, each thing once."""
+    for ax in axes[-columns:]:
+        ax.set_xlabel(axis)
     labels: dict[str, Artist] = {}
     for ax in axes:
         for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -292,11 +294,9 @@ def draw_curves(
     columns = max(2, len(conditions))
     with _style():
         figure, axes = panels(len(places), columns, PRINTED_WIDTH / columns, height)
-        for i, (ax, (metric, condition)) in enumerate(zip(axes, places, strict=True)):
+        for ax, (metric, condition) in zip(axes, places, strict=True):
             _curves_panel(ax, condition, metric, variants, kind)
-            if i + columns >= len(places):
-                ax.set_xlabel("training actions")
-        _add_legend(figure, axes, ncols=4)
+        _label_below(figure, axes, columns, "training actions", ncols=4)
     return figure
 
 
