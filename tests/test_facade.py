@@ -18,7 +18,7 @@ def test_an_unknown_name_is_no_attribute():
         _ = mechsearch.nonsense
 
 
-@pytest.mark.parametrize("module", ["env.register", "evaluation.rollout", "report.page", "cli"])
+@pytest.mark.parametrize("module", ["env.register", "evaluation.rollout", "report.contents", "cli"])
 def test_the_base_install_needs_no_torch(module):
     code = f"import sys, mechsearch.{module}; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
