@@ -6,33 +6,31 @@ import pytest
 
 from mechsearch.evaluation.episodes import Estimate
 from mechsearch.findings.claims import (
-    GOALS,
-    PAPER,
-    Claim,
-    Ruling,
-    answer_table,
-    claim_rows,
-    combined,
-    overview_table,
-    rule,
-)
-from mechsearch.findings.experiment import Experiment, read_experiment
-from mechsearch.findings.questions import (
     BEST_TEACHER,
     FAILS,
     FLOOR,
+    GOALS,
     HOLDS,
+    PAPER,
     UNDECIDED,
     UNMEASURED,
     Better,
+    Claim,
     Harder,
     Level,
     QuickerMovesMore,
     Rises,
+    Ruling,
     ShareOfGap,
+    answer_table,
+    claim_rows,
+    combined,
+    overview_table,
     resolved,
+    rule,
     verdict,
 )
+from mechsearch.findings.experiment import Experiment, read_experiment
 from mechsearch.findings.tables import MINUS, difference_text, percent
 
 WriteSweep = Callable[..., Path]
@@ -161,7 +159,7 @@ def test_one_seed_is_said_to_cover_heaps_only(write_sweep: WriteSweep, tmp_path:
     policies = {"method": 0.5, "idle": 0.0}
     folder = write_sweep(tmp_path / "s", {"single": policies, "dual": policies}, seeds=1)
     experiment = read_experiment(folder)
-    for question in (Better("single", "reward", "method", "idle"), Harder("reward", "method")):
+    for question in (Better("single", "reward", "method", "idle"), Harder("dual")):
         assert "1 seed: the interval covers heaps only" in question.ask(experiment).test
 
 
@@ -190,7 +188,7 @@ def test_what_was_not_run_is_not_measured(write_sweep: WriteSweep, tmp_path: Pat
         Better("dual", "reward", "method", FLOOR),
         Better("single", "graspability_change", "method", FLOOR),
         ShareOfGap("single", "reward", "method", 0.6),
-        Harder("reward", "method"),
+        Harder("dual"),
         Level("single", "uncovered_rate", "plus", 0.8),
         QuickerMovesMore("single"),
     ]

@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 
 from mechsearch.evaluation.episodes import METRICS, Estimate, save_episodes
-from mechsearch.findings.analysis import analyse
-from mechsearch.findings.comparisons import compare_with_others, comparison_table, outcome
+from mechsearch.findings.analysis import analyse, compare_with_others, comparison_table, outcome
 from mechsearch.findings.experiment import Condition, read_experiment
 from mechsearch.findings.tables import MINUS
 

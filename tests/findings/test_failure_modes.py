@@ -9,13 +9,13 @@ from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.findings.failure_modes import (
     ASTRAY,
     BACK_AND_FORTH,
+    DEFINITION,
     FAILED_SIMULATION,
     HOVERING,
     LOST,
     STANDING,
     SUCCESS,
     UNFINISHED,
-    definition,
     longest_run,
     mode_of,
     reversal_share,
@@ -133,4 +133,4 @@ def test_the_longest_run_is_all_true_and_none_is_longer(flags: list[bool]) -> No
 
 def test_the_definition_names_every_threshold() -> None:
     for words in ("1 mm", "20 actions", "5 mm", "25%", "40%", "15 cm", "120°"):
-        assert words in definition()
+        assert words in DEFINITION

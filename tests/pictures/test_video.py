@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from mechsearch.pictures.filmstrip import Film, FilmConfig
-from mechsearch.pictures.video import write_film
+from mechsearch.pictures.film import Film, FilmConfig, write_film
 from mechsearch.types import MechSearchError
 
 

@@ -11,10 +11,16 @@ from mechsearch.findings.experiment import read_experiment
 from mechsearch.findings.failure_modes import SUCCESS, UNFINISHED
 from mechsearch.findings.tables import MINUS, Table
 from mechsearch.objects.model import ObjectModel
-from mechsearch.report import pdf
-from mechsearch.report.contents import document
-from mechsearch.report.document import Document, Paragraph, Picture, Section, to_html
-from mechsearch.report.episodes import exemplary_episode, mode_pictures
+from mechsearch.report.contents import document, exemplary_episode, mode_pictures
+from mechsearch.report.document import (
+    Document,
+    Paragraph,
+    Picture,
+    Section,
+    to_html,
+    to_pdf,
+    write_pdf,
+)
 from mechsearch.types import MechSearchError
 
 Models = Mapping[str, ObjectModel]
@@ -59,7 +65,7 @@ def test_files_alone_rebuild_page_and_print_byte_by_byte(
     for _ in range(2):
         report = document(analyse(read_experiment(folder)), "Twice", {"single": models})
         assert _pictures(report, bytes)
-        made.append((to_html(report), pdf.to_pdf(report)))
+        made.append((to_html(report), to_pdf(report)))
     assert made[0] == made[1]
 
 
@@ -80,7 +86,7 @@ def test_a_sweep_of_few_variants_is_reported_and_says_so(
     found = analyse(read_experiment(folder))
     report = document(found, "Little")
     assert to_html(report).count("not measured") > len(found.paper)
-    assert pdf.to_pdf(report).startswith(b"%PDF")
+    assert to_pdf(report).startswith(b"%PDF")
 
 
 def test_how_each_policy_came_about_is_one_row(sweep: Path) -> None:
@@ -136,18 +142,18 @@ def test_a_share_has_an_interval_even_if_all_episodes_end_alike(sweep: Path) -> 
 def test_a_pdf_has_pages_a_title_and_no_date_of_its_making() -> None:
     table = Table("Caption", ("a", "b"), tuple((f"row {i}", "1\n0 to 2") for i in range(80)))
     made = Document("Title", "Lead", [Section("One", [Paragraph(f"Text {MINUS}1"), table])])
-    content = pdf.to_pdf(made)
+    content = to_pdf(made)
     assert len(re.findall(rb"/Type /Page\b", content)) == 3
     assert b"20000101" in content
-    assert content == pdf.to_pdf(made)
+    assert content == to_pdf(made)
 
 
 def test_a_pdf_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    pdf.write_pdf(tmp_path / "a.pdf", Document("Title", "Lead"))
+    write_pdf(tmp_path / "a.pdf", Document("Title", "Lead"))
     assert [path.name for path in tmp_path.iterdir()] == ["a.pdf"]
     (tmp_path / "b.pdf").mkdir()
     with pytest.raises(MechSearchError, match=r"b\.pdf: Is a directory"):
-        pdf.write_pdf(tmp_path / "b.pdf", Document("Title", "Lead"))
+        write_pdf(tmp_path / "b.pdf", Document("Title", "Lead"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.pdf", "b.pdf"]
 
 

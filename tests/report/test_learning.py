@@ -6,9 +6,15 @@ import pytest
 from scipy import stats
 
 from mechsearch.findings.analysis import analyse, tradeoff_rows
-from mechsearch.findings.experiment import Condition, Experiment, read_experiment
-from mechsearch.findings.runs import CURVE_COLUMNS, Run, learning_curve
-from mechsearch.report import learning
+from mechsearch.findings.experiment import (
+    CURVE_COLUMNS,
+    Condition,
+    Experiment,
+    Run,
+    learning_curve,
+    read_experiment,
+)
+from mechsearch.report import figures
 from mechsearch.report.figures import draw_tradeoff
 
 
@@ -50,18 +56,18 @@ def test_curves_are_of_held_out_heaps_where_there_are_any(experiment: Experiment
 
 
 def test_figures_have_a_panel_for_each_metric_and_condition(experiment: Experiment) -> None:
-    figure = learning.draw_learning(experiment)
+    figure = figures.draw_learning(experiment)
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert len(titles) == 8
     assert titles[:2] == ["single: reward", "dual: reward"]
     assert titles[-1] == "dual: graspability gained"
-    assert len(learning.draw_ablation(experiment).axes) == 4
+    assert len(figures.draw_ablation(experiment).axes) == 4
 
 
 def test_a_variant_without_a_curve_has_its_final_score_beside_the_curves_of_others(
     experiment: Experiment,
 ) -> None:
-    axes = learning.draw_learning(experiment).axes
+    axes = figures.draw_learning(experiment).axes
     _, labels = axes[6].get_legend_handles_labels()
     assert {"method", "ddpg", "plus, final"} <= set(labels)
     # Three seeds and their mean, of each of method and ddpg.
@@ -72,7 +78,7 @@ def test_final_scores_without_any_curve_stand_where_curves_end(
     write_sweep: Callable[..., Path], tmp_path: Path
 ) -> None:
     folder = write_sweep(tmp_path / "s", {"single": {"plus": 0.5, "idle": 0.0}})
-    axes = learning.draw_learning(read_experiment(folder)).axes
+    axes = figures.draw_learning(read_experiment(folder)).axes
     actions = {x for line in axes[3].lines if line.get_marker() == "D" for x in line.get_xdata()}
     low, high = axes[3].get_xlim()
     assert low == 0
@@ -80,7 +86,7 @@ def test_final_scores_without_any_curve_stand_where_curves_end(
 
 
 def test_every_seed_the_mean_and_every_teacher_are_drawn(experiment: Experiment) -> None:
-    ax = learning.draw_learning(experiment).axes[0]
+    ax = figures.draw_learning(experiment).axes[0]
     curves = [line for line in ax.lines if len(line.get_xdata()) == 3]
     # Three seeds and their mean, of each of method, plus and ddpg.
     assert len(curves) == 12
@@ -92,13 +98,13 @@ def test_what_was_not_measured_is_said_in_its_panel(
     write_sweep: Callable[..., Path], tmp_path: Path
 ) -> None:
     folder = write_sweep(tmp_path / "s", {"single": {"method": 0.5, "idle": 0.0}}, grasps=False)
-    panel = learning.draw_learning(read_experiment(folder)).axes[3]
+    panel = figures.draw_learning(read_experiment(folder)).axes[3]
     assert [text.get_text() for text in panel.texts] == ["not measured"]
 
 
 def test_bands_stay_within_the_panel(experiment: Experiment) -> None:
     """Where a figure is printed without clipping they would be drawn over its neighbours."""
-    for ax in learning.draw_learning(experiment).axes:
+    for ax in figures.draw_learning(experiment).axes:
         low, high = ax.get_ylim()
         for band in ax.collections:
             heights = band.get_paths()[0].vertices[:, 1]

@@ -12,8 +12,7 @@ from mechsearch.evaluation.episodes import save_episodes
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import read_experiment
 from mechsearch.report.contents import document
-from mechsearch.report.document import to_html
-from mechsearch.report.pdf import to_pdf
+from mechsearch.report.document import to_html, to_pdf
 from mechsearch.types import MechSearchError
 
 VOID = {"meta", "img", "br"}

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.findings.experiment import Condition, Experiment
-from mechsearch.findings.runs import Run, read_run
-from mechsearch.report import learning
+from mechsearch.findings.experiment import Condition, Experiment, Run, read_run
+from mechsearch.report import figures
 from mechsearch.report.figures import to_svg
 from mechsearch.types import MechSearchError
 
@@ -53,19 +52,19 @@ def test_curves_are_drawn_as_svg_the_same_each_time(run_directory: Path) -> None
     run = read_run(run_directory)
     experiment = Experiment(None, {"single": Condition("single", {}, {"method": (run,)})})
     drawn = [
-        to_svg(learning.draw_curves(experiment, learning.RUN_METRICS, ["method"], 2.5))
+        to_svg(figures.draw_curves(experiment, figures.RUN_METRICS, ["method"], 2.5))
         for _ in range(2)
     ]
     assert drawn[0] == drawn[1]
     assert ElementTree.fromstring(drawn[0]).tag.endswith("svg")
     assert experiment.scored_on == "validation"
-    assert learning.draw_training(run) is not None
+    assert figures.draw_training(run) is not None
 
 
 def test_a_run_that_logged_nothing_has_no_curves(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
     run = read_run(tmp_path)
-    assert learning.draw_training(run) is None
+    assert figures.draw_training(run) is None
 
 
 def push_run(folder: Path, fits: int) -> Run:
@@ -83,7 +82,7 @@ def push_run(folder: Path, fits: int) -> Run:
 def test_pushes_are_drawn_over_what_was_executed_and_fits_beside_them(
     tmp_path: Path,
 ) -> None:
-    figure = learning.draw_training(push_run(tmp_path, fits=1))
+    figure = figures.draw_training(push_run(tmp_path, fits=1))
     assert figure is not None
     panels = {ax.get_title(loc="left"): ax.lines for ax in figure.axes}
     assert len(panels) == 6
@@ -95,7 +94,7 @@ def test_pushes_are_drawn_over_what_was_executed_and_fits_beside_them(
 
 
 def test_pushes_are_drawn_before_the_first_fit_too(tmp_path: Path) -> None:
-    assert learning.draw_training(push_run(tmp_path, fits=0)) is not None
+    assert figures.draw_training(push_run(tmp_path, fits=0)) is not None
 
 
 def test_a_folder_without_a_run_and_a_damaged_log_are_refused(tmp_path: Path) -> None:
@@ -108,14 +107,14 @@ def test_a_folder_without_a_run_and_a_damaged_log_are_refused(tmp_path: Path) ->
 
 
 def test_a_running_mean_looks_back_only() -> None:
-    means = learning.running_mean(np.array([1.0, 3.0, 5.0, 7.0]), 2)
+    means = figures.running_mean(np.array([1.0, 3.0, 5.0, 7.0]), 2)
     np.testing.assert_allclose(means, [1, 2, 4, 6])
 
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=6).map(sorted))
 def test_labels_keep_their_order_and_their_distance(heights: list[float]) -> None:
-    placed = learning.spaced(heights, 0.1)
+    placed = figures.spaced(heights, 0.1)
     assert (np.diff(placed) > 0.1 - 1e-9).all()
     assert sum(placed) == pytest.approx(sum(heights), abs=1e-6)
     if len(heights) > 1 and np.diff(heights).min() >= 0.1:

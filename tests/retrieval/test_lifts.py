@@ -4,7 +4,7 @@ import pytest
 from mechsearch.geometry import yaw_quaternion
 from mechsearch.grasp.graspability import Graspability, on_table
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.pictures.lift import lift_strip
+from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.assessment import (
     GraspAssessment,
     GraspTask,

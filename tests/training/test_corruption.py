@@ -20,7 +20,7 @@ from mechsearch.experiments.journal import Journal
 from mechsearch.experiments.plan import QUICK, read_plan
 from mechsearch.files import records
 from mechsearch.files import tensors as weights
-from mechsearch.findings.runs import read_run
+from mechsearch.findings.experiment import read_run
 from mechsearch.grasp.learning import grasp_set
 from mechsearch.grasp.learning.grasp_set import GraspFolder, Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network

@@ -30,8 +30,7 @@ from mechsearch.files import check_place, write_whole
 from mechsearch.findings import tables
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
-from mechsearch.pictures.filmstrip import Film, FilmConfig, filmstrip, start_and_end
-from mechsearch.pictures.video import FORMATS, write_film
+from mechsearch.pictures.film import FORMATS, Film, FilmConfig, filmstrip, start_and_end, write_film
 from mechsearch.processes import Mapper
 from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.types import MechSearchError
@@ -40,8 +39,7 @@ _TaskOptions: Any = optional(TaskConfig)
 
 _NOTE = (
     "Means over heaps with 95 % confidence intervals (Student's t; Wilson's for the share "
-    "uncovered). Every episode counts, lost targets and failed simulations included; an unfinished "
-    "one counts all its actions. Clutter moved is the path length of a non-target object."
+    f"uncovered). {tables.EPISODES_NOTE}"
 )
 
 

@@ -14,8 +14,7 @@ from mechsearch.grasp.grasp_view import check_opening, view_of_heap
 from mechsearch.grasp.graspability import rate
 from mechsearch.heaps.dataset import Heap
 from mechsearch.pictures.canvas import tiled
-from mechsearch.pictures.grasps import draw_grasps
-from mechsearch.pictures.lift import lift_strip
+from mechsearch.pictures.grasps import draw_grasps, lift_strip
 from mechsearch.retrieval.assessment import (
     GraspAssessment,
     GraspTask,

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,11 +14,10 @@ from mechsearch.evaluation.episodes import Evaluation, read_summary
 from mechsearch.files import write_text
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
-from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures.film import Models
 from mechsearch.report.contents import document
-from mechsearch.report.document import to_html
+from mechsearch.report.document import to_html, write_pdf
 from mechsearch.report.figures import draw_summary, to_svg
-from mechsearch.report.pdf import write_pdf
 
 
 @dataclass(frozen=True)
@@ -55,25 +54,22 @@ class Report(Command):
         planned = found.experiment.plan is not None
         models = self._models(found.experiment) if self.pictures else None
         text = document(found, self.title, models)
-        written = [self.out]
         write_text(self.out, to_html(text))
         pdf = self.pdf or (self.out.with_suffix(".pdf") if planned else None)
         if pdf:
             write_pdf(pdf, text)
-            written.append(pdf)
-        if planned:
-            beside = self.out.with_suffix("")
+        beside = self.out.with_suffix("") if planned else None
+        if beside:
             for name, svg in text.drawings.items():
                 write_text(beside / f"{name}.svg", svg)
             for name, rows in found.numbers.items():
                 write_text(beside / f"{name}.csv", _csv(rows))
-            written.append(beside)
         for line in found.lines:
             say(line)
-        for path in written:
+        for path in filter(None, (self.out, pdf, beside)):
             wrote(path)
 
-    def _models(self, experiment: Experiment) -> dict[str, Mapping[str, ObjectModel]]:
+    def _models(self, experiment: Experiment) -> dict[str, Models]:
         """Return the objects by name of each condition that has episodes to draw."""
         recorded = {
             name: [one.header for one in condition.scored if one.path.exists()]

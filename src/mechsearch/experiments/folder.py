@@ -14,9 +14,9 @@ from mechsearch.files import (
     locked,
     write_text,
 )
-from mechsearch.findings.runs import EVALUATIONS, curve_rows, read_run
+from mechsearch.findings.experiment import CURVE_COLUMNS, EVALUATIONS, curve_rows, read_run
 
-_COLUMNS = ("condition", "variant", "seed", "step", "metric", "mean", "ci_low", "ci_high", "heaps")
+_COLUMNS = tuple(column for column in CURVE_COLUMNS if column != "scored_on")
 
 
 @dataclass(frozen=True)

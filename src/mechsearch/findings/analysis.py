@@ -1,28 +1,53 @@
-"""All that is found of an experiment, once: claims or comparisons, tables, and rows of numbers."""
+"""All that is found of an experiment, once: claims, or what beat what; tables; rows of numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
-from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, share_interval
-from mechsearch.files import mixed
-from mechsearch.findings.claims import GOALS, PAPER, Ruling, claim_rows, rule
-from mechsearch.findings.comparisons import Comparison, compare_with_others
-from mechsearch.findings.experiment import Condition, Experiment
-from mechsearch.findings.failure_modes import EPISODE_MODES
-from mechsearch.findings.runs import CURVE_COLUMNS, curve_rows
-from mechsearch.findings.scores import ScoredPolicy
-from mechsearch.findings.tables import Table, count_table, score_table, terms_table
+import numpy as np
 
-TRADEOFF = ("episode_actions", "clutter_moved_m")
+from mechsearch.evaluation.episodes import (
+    GRASP_METRICS,
+    HIGHER_IS_BETTER,
+    METRICS,
+    Estimate,
+    share_interval,
+)
+from mechsearch.files import mixed
+from mechsearch.findings import claims, tables
+from mechsearch.findings.experiment import CURVE_COLUMNS, Condition, Experiment, curve_rows
+from mechsearch.findings.failure_modes import EPISODE_MODES
+from mechsearch.findings.scores import ScoredPolicy
+from mechsearch.findings.tables import TRADEOFF, Scores, Table
+
 COUNTED = ("reward", "visibility_change", "uncovered_rate")
 SCORES_NOTE = (
     "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed)."
-    " Every episode counts, lost targets and failed simulations included; an unfinished one counts "
-    "all its actions. Clutter moved is the path length of a non-target object."
+    f" {tables.EPISODES_NOTE}"
 )
 _MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
 _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
+_OPENINGS = {"better": "beats", "undecided": "shows no clear difference from", "worse": "loses to"}
+_AMOUNTS = {"better": "less than", "undecided": "about as much as", "worse": "more than"}
+_SIGNS = {"better": "▲ ", "worse": "▼ ", "undecided": "≈ "}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One policy held against every other of its condition.
+
+    Attributes:
+        condition: Its name.
+        ours: The policy.
+        against: Ours minus theirs by each of `METRICS`, by the name of the other policy.
+        sentences: In reward against all, and against doing nothing useful and the teachers.
+    """
+
+    condition: str
+    ours: str
+    against: Mapping[str, Scores]
+    sentences: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -37,8 +62,8 @@ class Analysis:
     """
 
     experiment: Experiment
-    paper: Sequence[Ruling]
-    goals: Sequence[Ruling]
+    paper: Sequence[claims.Ruling]
+    goals: Sequence[claims.Ruling]
     comparisons: Sequence[Comparison]
 
     @property
@@ -51,15 +76,11 @@ class Analysis:
     @property
     def numbers(self) -> dict[str, list[tuple[str, ...]]]:
         """Rows behind claims and figures, by a name for their file; headings first."""
-        curves = (
-            row
-            for condition in self.experiment.conditions.values()
-            for runs in condition.runs.values()
-            for row in curve_rows(condition.name, runs)
-        )
+        conditions = self.experiment.conditions.values()
+        curves = (curve_rows(c.name, chain.from_iterable(c.runs.values())) for c in conditions)
         return {
-            "claims": claim_rows((*self.paper, *self.goals)),
-            "learning": [CURVE_COLUMNS, *curves],
+            "claims": claims.claim_rows((*self.paper, *self.goals)),
+            "learning": [CURVE_COLUMNS, *chain.from_iterable(curves)],
             "tradeoff": tradeoff_rows(self.experiment),
         }
 
@@ -67,7 +88,8 @@ class Analysis:
 def analyse(experiment: Experiment) -> Analysis:
     """Return what an experiment says: of a sweep its claims, of others what beat what."""
     if experiment.plan is not None:
-        return Analysis(experiment, rule(PAPER, experiment), rule(GOALS, experiment), ())
+        paper, goals = (claims.rule(asked, experiment) for asked in (claims.PAPER, claims.GOALS))
+        return Analysis(experiment, paper, goals, ())
     comparisons = [
         compare_with_others(condition, name)
         for condition in experiment.conditions.values()
@@ -84,11 +106,47 @@ def tradeoff_rows(experiment: Experiment) -> list[tuple[str, ...]]:
         for count in (None, *condition.counts):
             for name, seeds in condition.policies.items():
                 place = (condition.name, str(count or "all"), name, str(len(seeds)))
-                for metric, estimate in condition.scores_of(name, TRADEOFF, count).items():
-                    ends = (estimate.mean, estimate.ci_low, estimate.ci_high)
-                    numbers = (*(f"{value:.6g}" for value in ends), str(estimate.heaps))
-                    rows.append((*place, metric, *numbers))
+                found = condition.scores_of(name, TRADEOFF, count)
+                for metric, mean in found.items():
+                    rows.append((*place, metric, *tables.plain_numbers(mean), str(mean.heaps)))
     return rows
+
+
+def outcome(metric: str, difference: Estimate) -> str:
+    """Return "better", "worse" or "undecided": the last if the interval holds zero."""
+    if not (difference.ci_low > 0 or difference.ci_high < 0):
+        return "undecided"
+    return "better" if (difference.mean > 0) == HIGHER_IS_BETTER[metric] else "worse"
+
+
+def compare_with_others(condition: Condition, ours: str) -> Comparison:
+    """Return how a policy compares with every other of its condition."""
+    against = {
+        theirs: {m: claims.difference(condition, m, ours, theirs) for m in METRICS}
+        for theirs in condition.policies
+        if theirs != ours
+    }
+    shown = {
+        theirs: f"{theirs} ({tables.cell('reward', found['reward'], True)})".replace("\n", ", ")
+        for theirs, found in against.items()
+    }
+    groups = "; it ".join(_grouped_in_words(_OPENINGS, "reward", against, shown))
+    sentences = [f"In reward, {ours} {groups}."] if against else []
+    sentences += _against_teachers(condition, ours, against)
+    return Comparison(condition.name, ours, against, tuple(sentences))
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Return the differences to every other policy, each marked with what it means."""
+    rows, marks = [], []
+    for theirs, found in comparison.against.items():
+        outcomes = [outcome(*one) for one in found.items()]
+        cells = [tables.cell(*one, signed=True) for one in found.items()]
+        rows.append((theirs, *(_SIGNS[o] + text for o, text in zip(outcomes, cells, strict=True))))
+        marks.append([one.replace("undecided", "") for one in outcomes])
+    labels = [tables.display(metric).label.replace("[%]", "[points]") for metric in METRICS]
+    caption = f"{comparison.ours} minus each other policy: ▲ better, ▼ worse, ≈ no clear difference"
+    return Table(caption, ("against", *labels), tuple(rows), marks)
 
 
 def lead(experiment: Experiment) -> str:
@@ -128,9 +186,9 @@ def score_tables(condition: Condition) -> list[Table]:
         "heaps": [str(row[METRICS[0]].heaps) for row in scores.values()],
     }
     return [
-        score_table(scores, f"Scores{where}", facts),
-        *(count_table(by_count, metric, where) for metric in COUNTED),
-        terms_table(scores, f"Reward terms{where}"),
+        tables.score_table(scores, f"Scores{where}", facts),
+        *(tables.count_table(by_count, metric, where) for metric in COUNTED),
+        tables.terms_table(scores, f"Reward terms{where}"),
     ]
 
 
@@ -140,10 +198,7 @@ def mode_table(condition: Condition) -> Table:
     for name, seeds in condition.policies.items():
         found = [episode.mode for one in seeds for episode in one.modes]
         shares = [share_interval([float(f == mode) for f in found]) for mode in EPISODE_MODES]
-        cells = [
-            f"{100 * s.mean:.0f}\n{100 * s.ci_low:.0f} to {100 * s.ci_high:.0f}" for s in shares
-        ]
-        rows.append((name, str(len(found)), *cells))
+        rows.append((name, str(len(found)), *(tables.cell("uncovered_rate", s) for s in shares)))
     columns = ("policy", "episodes", *(f"{mode} [%]" for mode in EPISODE_MODES))
     caption = (
         f"How the episodes of {condition.name} heaps end, all training seeds together, with "
@@ -154,19 +209,18 @@ def mode_table(condition: Condition) -> Table:
 
 def made_table(condition: Condition) -> Table:
     """Return how each scored policy came about."""
-    rows = []
-    for name, seeds in condition.policies.items():
-        rows.append(
-            (
-                name,
-                ", ".join(str(one.seed) for one in seeds),
-                _range([one.actions for one in seeds if one.trained]),
-                _range([_tried(condition, one) for one in seeds]),
-                _range([len(one.heaps) for one in seeds]),
-                _range([len(one.header.get("quarantined", ())) for one in seeds]),
-                ", ".join(map(str, seeds[0].header.get("keys", ()))),
-            )
+    rows = tuple(
+        (
+            name,
+            ", ".join(str(one.seed) for one in seeds),
+            _range([one.actions for one in seeds if one.trained]),
+            _range([_tried(condition, one) for one in seeds]),
+            _range([len(one.heaps) for one in seeds]),
+            _range([len(one.header.get("quarantined", ())) for one in seeds]),
+            ", ".join(map(str, seeds[0].header.get("keys", ()))),
         )
+        for name, seeds in condition.policies.items()
+    )
     first = condition.scored[0].header
     facts = {
         "heap set": first.get("heap_set"),
@@ -176,7 +230,7 @@ def made_table(condition: Condition) -> Table:
     }
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
     caption = f"{condition.name.capitalize()} heaps: {said}"
-    return Table(caption, _MADE, tuple(rows), words=True, widths=_MADE_WIDTHS)
+    return Table(caption, _MADE, rows, words=True, widths=_MADE_WIDTHS)
 
 
 def made_notes(experiment: Experiment) -> list[str]:
@@ -189,6 +243,56 @@ def made_notes(experiment: Experiment) -> list[str]:
     plan = [f"{k.replace('_', ' ')} {_text(v)}" for k, v in (experiment.plan or {}).items()]
     follows = [f"The plan of the experiments: {'; '.join(sorted(plan))}."] if plan else []
     return [*mixed(found), *follows]
+
+
+def _against_teachers(condition: Condition, ours: str, against: Mapping[str, Scores]) -> list[str]:
+    """Return where a policy stands between doing nothing useful and the best teacher.
+
+    Three sentences, since reward alone can be won by hovering: the share of the gap in reward that
+    it closes, its share of the best teacher's change in visibility, and the clutter it moves.
+    There is none without a passive policy and a teacher to compare with.
+    """
+    teachers = tuple(condition.teachers)
+    gap = claims.ShareOfGap(condition.name, "reward", ours, 1.0, teachers=teachers)
+    change = claims.ShareOfGap(
+        condition.name, "visibility_change", ours, 1.0, from_nothing=True, teachers=teachers
+    )
+    _, floor, best = gap.names(condition)
+    if not condition.measured("reward", floor, best):
+        return []
+    clearest = change.names(condition)[2]
+
+    def mean(metric: str, name: str) -> str:
+        return tables.number(metric, float(condition.matrices([name], metric)[0].mean()))
+
+    def share(asked: claims.ShareOfGap) -> str:
+        found = asked.share(condition)
+        undefined = "a share that is not defined (there is no gap)"
+        return undefined if np.isnan(found.mean) else tables.percent(found)
+
+    others = {teacher: teacher for teacher in teachers if teacher != ours}
+    amounts = _grouped_in_words(_AMOUNTS, "clutter_moved_m", against, others)
+    return [
+        f"Of the gap in reward between the better of doing nothing useful ({floor}, "
+        f"{mean('reward', floor)}) and the best teacher ({best}, {mean('reward', best)}), {ours} "
+        f"closes {share(gap)}.",
+        f"It reaches {share(change)} of the change in visibility of {clearest} "
+        f"({mean('visibility_change', clearest)}).",
+        f"It moves every other object by {mean('clutter_moved_m', ours)} cm on average"
+        f"{': ' if amounts else ''}{', '.join(amounts)}.",
+    ]
+
+
+def _grouped_in_words(
+    words: Mapping[str, str],
+    metric: str,
+    against: Mapping[str, Scores],
+    shown: Mapping[str, str],
+) -> list[str]:
+    """Return the other policies by how ours compares with them, such as "beats idle"."""
+    outcomes = {theirs: outcome(metric, against[theirs][metric]) for theirs in shown}
+    groups = {o: [shown[theirs] for theirs in shown if outcomes[theirs] == o] for o in words}
+    return [f"{words[o]} {_listed(names)}" for o, names in groups.items() if names]
 
 
 def _tried(condition: Condition, scored: ScoredPolicy) -> int:
@@ -216,3 +320,7 @@ def _range(numbers: Sequence[int]) -> str:
         return "none"
     least, most = min(numbers), max(numbers)
     return f"{most:,}" if least == most else f"{least:,} to {most:,}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -4,24 +4,23 @@ A sweep's folder has its plan, and for each condition the evaluations and the ru
 no plan ties together are an experiment too, of the conditions that are found among them.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import METRICS, SHARES, Estimate, share_interval
-from mechsearch.files import (
-    CONFIG_FILE,
-    EVALUATIONS_FOLDER,
-    METRICS_FILE,
-    PLAN_FILE,
-    RUNS_FOLDER,
-    read_record,
+from mechsearch.evaluation.episodes import (
+    GRASP_METRICS,
+    METRICS,
+    SHARES,
+    Estimate,
+    mean_interval,
+    share_interval,
 )
+from mechsearch.files import layout, read_lines, read_record
 from mechsearch.findings.bootstrap import estimated
-from mechsearch.findings.runs import EVALUATIONS, Run, read_run
 from mechsearch.findings.scores import ScoredPolicy, episode_files, read_scored
 from mechsearch.types import Floats, MechSearchError
 
@@ -29,9 +28,63 @@ LISTED_FIRST = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pos
 PASSIVE = ("idle", "random")
 TEACHER_PREFIX = "teacher-"
 CEILING = "look-ahead"
-_LOG = f"{METRICS_FILE}*"
+_LOG = f"{layout.METRICS_FILE}*"
 """As it is, or packed."""
 Item = TypeVar("Item")
+EVALUATIONS = {"held_out": "held-out heaps", "validation": "validation heaps"}
+"""What a run scores itself on while it learns, those of more weight first."""
+
+CURVE_COLUMNS = (
+    *("condition", "variant", "seed", "scored_on", "step", "metric"),
+    *("mean", "ci_low", "ci_high", "heaps"),
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a training run logged.
+
+    Attributes:
+        name: Of the run's configuration.
+        seed: Likewise.
+        records: Lines of the log by their kind, such as "validation" or "episode".
+        heap_set: Digest of the heaps that it learnt from; empty if it does not say.
+    """
+
+    name: str
+    seed: int
+    records: Mapping[str, Sequence[Mapping[str, Any]]]
+    heap_set: str = ""
+
+    def series(self, kind: str, key: str, over: str = "step") -> tuple[Floats, Floats]:
+        """Return steps, or another number, and values (n,) of one number in one kind of record."""
+        pairs = [(r[over], r[key]) for r in self.records.get(kind, ()) if key in r]
+        steps, values = np.array(pairs, np.float64).reshape(-1, 2).T
+        return steps, values
+
+    def keys(self, kind: str) -> list[str]:
+        """Return the names of all numbers in one kind of record, in their first order."""
+        items = (item for record in self.records.get(kind, ()) for item in record.items())
+        names = dict.fromkeys(name for name, value in items if isinstance(value, int | float))
+        return [name for name in names if name != "step"]
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """One metric of one variant while it learns.
+
+    Attributes:
+        steps: Training actions at each evaluation (K,).
+        seeds: Value of each training seed (S, K).
+    """
+
+    steps: Floats
+    seeds: Floats
+
+    @property
+    def means(self) -> list[Estimate]:
+        """Mean over seeds at each step (K), with Student's t interval where there are several."""
+        return [mean_interval(values) for values in self.seeds.T]
 
 
 @dataclass(frozen=True)
@@ -76,10 +129,8 @@ class Condition:
 
     def measured(self, metric: str, *names: str) -> bool:
         """Return whether all these policies have values of a metric for every seed."""
-        return all(
-            name in self.policies and all(metric in one.values for one in self.policies[name])
-            for name in names
-        )
+        seeds = [self.policies.get(name, ()) for name in names]
+        return all(seeds) and all(metric in one.values for policy in seeds for one in policy)
 
     @property
     def terms(self) -> list[str]:
@@ -99,9 +150,8 @@ class Condition:
             MechSearchError: If there is no heap that all ran on.
         """
         scored = [one for name in names for one in self.policies[name]]
-        shared = scored[0].heaps
-        if count is not None:
-            shared = shared[scored[0].counts == count]
+        first = scored[0]
+        shared = first.heaps if count is None else first.heaps[first.counts == count]
         for one in scored:
             shared = np.intersect1d(shared, one.heaps)
         if not len(shared):
@@ -175,20 +225,20 @@ class Experiment:
     def missing(self) -> list[str]:
         """What the plan asks for and the folder has no scores of, such as "single: ddpg-seed3"."""
         plan = self.plan or {}
-        found = {
-            (condition.name, f"{one.name}-seed{one.seed}" if one.trained else one.name)
-            for condition in self.conditions.values()
-            for one in condition.scored
-        }
         # An algorithm that is named `package.module:factory` is reported as `factory`.
         variants = [str(variant).rpartition(":")[2] for variant in plan.get("variants", ())]
         runs = [f"{v}-seed{s}" for v in variants for s in plan.get("seeds", ())]
         expected = {
-            (str(condition), str(name))
+            f"{condition}: {name}"
             for condition in plan.get("conditions", ())
             for name in (*runs, *plan.get("references", ()))
         }
-        return [f"{condition}: {name}" for condition, name in sorted(expected - found)]
+        found = {
+            f"{condition.name}: {one.name}" + (f"-seed{one.seed}" if one.trained else "")
+            for condition in self.conditions.values()
+            for one in condition.scored
+        }
+        return sorted(expected - found)
 
 
 def read_experiment(*sources: Path) -> Experiment:
@@ -198,17 +248,66 @@ def read_experiment(*sources: Path) -> Experiment:
         MechSearchError: If a file is damaged or belongs elsewhere, nothing was scored, or a sweep's
             folder is not the only source.
     """
-    if not any((source / PLAN_FILE).is_file() for source in sources):
+    if not any((source / layout.PLAN_FILE).is_file() for source in sources):
         return _loose(sources)
     if len(sources) > 1:
         raise MechSearchError(f"{len(sources)} sources; a sweep's folder is reported by itself")
     (folder,) = sources
-    plan = read_record(folder / PLAN_FILE, "plan of a sweep")
+    plan = read_record(folder / layout.PLAN_FILE, "plan of a sweep")
     conditions = [_planned(path) for path in folder.iterdir() if path.is_dir()]
     conditions = [condition for condition in conditions if condition.policies]
     if not conditions:
-        raise MechSearchError(f"no evaluation (.npz) in {folder}/*/{EVALUATIONS_FOLDER} yet")
+        raise MechSearchError(f"no evaluation (.npz) in {folder}/*/{layout.EVALUATIONS_FOLDER} yet")
     return Experiment(plan, _by_name(conditions))
+
+
+def read_run(directory: Path) -> Run:
+    """Read a run directory.
+
+    Raises:
+        MechSearchError: If it holds no run, or its log is damaged.
+    """
+    config = read_record(directory / layout.CONFIG_FILE, "training configuration")
+    inputs = directory / layout.INPUTS_FILE
+    known = read_record(inputs, "record of a run's inputs") if inputs.exists() else {}
+    records: dict[str, list[Mapping[str, Any]]] = {}
+    try:
+        for record in read_lines(directory / layout.METRICS_FILE):
+            records.setdefault(record["kind"], []).append(record)
+    except (ValueError, KeyError, TypeError) as error:
+        raise MechSearchError(
+            f"the log at {directory / layout.METRICS_FILE} is damaged: {error}"
+        ) from None
+    name, seed = str(config.get("name", directory.name)), int(config.get("seed", 0))
+    return Run(name, seed, records, str(known.get("heap_set", "")))
+
+
+def learning_curve(runs: Sequence[Run], metric: str, kind: str) -> LearningCurve | None:
+    """Return one metric at the actions that all runs were scored at; None if there are none."""
+    # A run that went on from a checkpoint may have scored a step again: the last one counts.
+    series = [dict(zip(*run.series(kind, metric), strict=True)) for run in runs]
+    shared = sorted(set.intersection(*map(set, series))) if series else []
+    if not shared:
+        return None
+    return LearningCurve(np.array(shared), np.array([[s[step] for step in shared] for s in series]))
+
+
+def curve_rows(condition: str, runs: Iterable[Run]) -> Iterator[tuple[str, ...]]:
+    """Yield every point of the curves of a condition's runs: `CURVE_COLUMNS`, as text."""
+    for run in runs:
+        for kind, heaps in EVALUATIONS.items():
+            for record in run.records.get(kind, ()):
+                place = (condition, run.name, str(run.seed), heaps, str(record["step"]))
+                for metric in (*METRICS, *GRASP_METRICS):
+                    if metric in record:
+                        yield (*place, metric, *_logged(record, metric))
+
+
+def _logged(record: Mapping[str, Any], metric: str) -> Iterator[str]:
+    """Yield mean, ends of the interval and number of heaps, empty where they were not logged."""
+    for key in (metric, f"{metric}_ci_low", f"{metric}_ci_high"):
+        yield f"{record[key]:.6g}" if key in record else ""
+    yield str(record.get("heaps", ""))
 
 
 def ordered(names: Iterable[str]) -> list[str]:
@@ -244,7 +343,7 @@ def distinct_names(headers: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _planned(folder: Path) -> Condition:
-    evaluations = folder / EVALUATIONS_FOLDER
+    evaluations = folder / layout.EVALUATIONS_FOLDER
     files = episode_files([evaluations]) if evaluations.is_dir() else []
     scored = [read_scored(path) for path in files]
     for one in scored:
@@ -253,11 +352,17 @@ def _planned(folder: Path) -> Condition:
                 f"{one.path} is of {one.header['condition']} heaps; this folder is for "
                 f"{folder.name}"
             )
-    runs_folder = folder / RUNS_FOLDER
-    directories = sorted(runs_folder.iterdir()) if runs_folder.is_dir() else []
+    runs_folder = folder / layout.RUNS_FOLDER
     # A run that has just begun has no log yet.
-    runs = [_named_run(path) for path in directories if any(path.glob(_LOG))]
-    return _condition(folder.name, _longest(scored), runs)
+    logs = sorted(runs_folder.glob(f"*/{_LOG}"))
+    runs = {log.parent: read_run(log.parent) for log in logs}
+    for directory, run in runs.items():
+        if directory.name != f"{run.name}-seed{run.seed}":
+            raise MechSearchError(
+                f"{directory} holds the run {run.name}-seed{run.seed} by its {layout.CONFIG_FILE}; "
+                "expected the run that the folder is named after"
+            )
+    return _condition(folder.name, _longest(scored), list(runs.values()))
 
 
 def _loose(sources: Sequence[Path]) -> Experiment:
@@ -269,14 +374,14 @@ def _loose(sources: Sequence[Path]) -> Experiment:
         raise MechSearchError(
             f"no evaluation (.npz) under {', '.join(map(str, sources)) or 'nothing'}"
         )
-    logged = (log.parent for source in sources for log in sorted(source.rglob(_LOG)))
+    logs = [log for source in sources for log in sorted(source.rglob(_LOG))]
     runs: dict[str, list[Run]] = {name: [] for name in groups}
-    for directory in dict.fromkeys(logged):
-        run = read_run(directory)
+    for log in dict.fromkeys(logs):
+        run = read_run(log.parent)
         places = {name for name, g in groups.items() if g[0].header["heap_set"] == run.heap_set}
         if not places and len(groups) > 1:
             raise MechSearchError(
-                f"{directory} does not say that it learnt from the heaps of one of the conditions "
+                f"{log.parent} does not say that it learnt from the heaps of one of the conditions "
                 f"{', '.join(groups)}; report it with the evaluations of its own condition alone"
             )
         runs[next(iter(places or groups))].append(run)
@@ -328,16 +433,6 @@ def _told_apart(scored: Iterable[ScoredPolicy]) -> list[ScoredPolicy]:
             )
         found += seeds
     return found
-
-
-def _named_run(directory: Path) -> Run:
-    run = read_run(directory)
-    if directory.name != f"{run.name}-seed{run.seed}":
-        raise MechSearchError(
-            f"{directory} holds the run {run.name}-seed{run.seed} by its {CONFIG_FILE}; expected "
-            "the run that the folder is named after"
-        )
-    return run
 
 
 def _grouped(items: Sequence[Item], name: Callable[[Item], str]) -> dict[str, tuple[Item, ...]]:

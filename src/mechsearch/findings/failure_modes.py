@@ -7,7 +7,6 @@ apart is whether the end effector keeps reversing. Random commands reverse in a 
 turns.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,28 +28,26 @@ EPISODE_MODES = (
 )
 
 
-@dataclass(frozen=True)
-class ModeConfig:
-    """Thresholds.
+STILL = 1e-3
+"""Displacement up to which an object has not moved in one action [m]."""
 
-    Attributes:
-        still: Displacement up to which an object has not moved in one action [m].
-        stretch: Actions in a row, in which no object moves, that make an episode a failure of
-            these kinds.
-        step: Displacement from which the end effector has moved in one action [m].
-        reversal: Angle between successive moves from which the second reverses the first [rad].
-        reversals: Share of reversals among the turns of the stretch that make it back and forth.
-        near: Median horizontal distance to the target up to which the end effector is near it [m].
-        standing: Share of moves in the stretch below which the end effector stands still.
-    """
+STRETCH = 20
+"""Actions in a row, in which no object moves, that make an episode a failure of these kinds."""
 
-    still: float = 1e-3
-    stretch: int = 20
-    step: float = 5e-3
-    reversal: float = np.radians(120)
-    reversals: float = 0.4
-    near: float = 0.15
-    standing: float = 0.25
+STEP = 5e-3
+"""Displacement from which the end effector has moved in one action [m]."""
+
+REVERSAL = np.radians(120)
+"""Angle between successive moves from which the second reverses the first [rad]."""
+
+REVERSALS = 0.4
+"""Share of reversals among the turns of the stretch that make it back and forth."""
+
+NEAR = 0.15
+"""Median horizontal distance to the target up to which the end effector is near it [m]."""
+
+LEAST_MOVES = 0.25
+"""Share of moves in the stretch below which the end effector stands still."""
 
 
 class EpisodeMode(NamedTuple):
@@ -65,48 +62,45 @@ class EpisodeMode(NamedTuple):
     stretch: int
 
 
-DEFAULT = ModeConfig()
+DEFINITION = (
+    f"An episode that ends uncovered is a success. Any other in which no object moves by more than "
+    f"{STILL * 1000:.0f} mm for {STRETCH} actions in a row is judged by its longest such stretch: "
+    f"“{STANDING}” if the end effector moves {STEP * 1000:.0f} mm or more in less than "
+    f"{LEAST_MOVES:.0%} of the actions; “{BACK_AND_FORTH}” if at least {REVERSALS:.0%} of its "
+    f"successive moves turn by {np.degrees(REVERSAL):.0f}° or more (random commands do in a "
+    f"quarter); else “{HOVERING}” if it is mostly within {NEAR * 100:.0f} cm of the target, seen "
+    f"from above, and “{ASTRAY}” if not. The remaining ones are “{UNFINISHED}” (it moved objects "
+    f"now and then), “{LOST}” or “{FAILED_SIMULATION}”."
+)
+"""The modes in words."""
 
 
-def definition(config: ModeConfig = DEFAULT) -> str:
-    """Return in words what the modes are."""
-    turn = f"{np.degrees(config.reversal):.0f}°"
-    return (
-        f"An episode that ends uncovered is a success. Any other in which no object moves by more "
-        f"than {config.still * 1000:.0f} mm for {config.stretch} actions in a row is judged by its "
-        f"longest such stretch: “{STANDING}” if the end effector moves {config.step * 1000:.0f} mm "
-        f"or more in less than {config.standing:.0%} of the actions; “{BACK_AND_FORTH}” if at "
-        f"least {config.reversals:.0%} of its successive moves turn by {turn} or more (random "
-        f"commands do in a quarter); else “{HOVERING}” if it is mostly within "
-        f"{config.near * 100:.0f} cm of the target, seen from above, and “{ASTRAY}” if not. The "
-        f"remaining ones are “{UNFINISHED}” (it moved objects now and then), “{LOST}” or "
-        f"“{FAILED_SIMULATION}”."
-    )
-
-
-def mode_of(record: EpisodeRecord, config: ModeConfig = DEFAULT) -> EpisodeMode:
+def mode_of(record: EpisodeRecord) -> EpisodeMode:
     """Return how an episode went."""
-    first, last = longest_run(largest_movement(record) <= config.still)
-    stretch = last - first
+    moved = np.linalg.norm(np.diff(record.poses[:, :, :3], axis=0), axis=2).max(axis=1)
+    first, last = longest_run(moved <= STILL)
+    return EpisodeMode(_mode(record, first, last), last - first)
+
+
+def _mode(record: EpisodeRecord, first: int, last: int) -> str:
     if record.uncovered:
-        return EpisodeMode(SUCCESS, stretch)
+        return SUCCESS
     if record.end == "lost":
-        return EpisodeMode(LOST, stretch)
+        return LOST
     if record.end.startswith("failure"):
-        return EpisodeMode(FAILED_SIMULATION, stretch)
-    if stretch < config.stretch:
-        return EpisodeMode(UNFINISHED, stretch)
+        return FAILED_SIMULATION
+    if last - first < STRETCH:
+        return UNFINISHED
     path = record.ee_positions[first : last + 1]
+    steps = np.diff(path, axis=0)
+    moves = steps[np.linalg.norm(steps, axis=1) >= STEP]
+    if len(moves) < LEAST_MOVES * len(steps):
+        return STANDING
+    if reversal_share(moves, REVERSAL) >= REVERSALS:
+        return BACK_AND_FORTH
     target = record.poses[first : last + 1, record.target, :2]
-    distance = float(np.median(np.linalg.norm(path[:, :2] - target, axis=1)))
-    return EpisodeMode(_stuck(np.diff(path, axis=0), distance, config), stretch)
-
-
-def largest_movement(record: EpisodeRecord) -> Floats:
-    """Return how far the object that moved most went in each action (T,) [m]."""
-    steps = np.linalg.norm(np.diff(record.poses[:, :, :3], axis=0), axis=2)
-    largest: Floats = steps.max(axis=1)
-    return largest
+    distance = np.median(np.linalg.norm(path[:, :2] - target, axis=1))
+    return HOVERING if distance <= NEAR else ASTRAY
 
 
 def longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
@@ -127,12 +121,3 @@ def reversal_share(moves: Floats, angle: float) -> float:
     cosines = (moves[1:] * moves[:-1]).sum(axis=1) / (lengths[1:] * lengths[:-1])
     # Rounding must not lose an exact reversal.
     return float((cosines <= np.cos(angle) + 1e-9).mean())
-
-
-def _stuck(steps: Floats, distance: float, config: ModeConfig) -> str:
-    moves = steps[np.linalg.norm(steps, axis=1) >= config.step]
-    if len(moves) < config.standing * len(steps):
-        return STANDING
-    if reversal_share(moves, config.reversal) >= config.reversals:
-        return BACK_AND_FORTH
-    return HOVERING if distance <= config.near else ASTRAY

@@ -162,12 +162,8 @@ def save_scores(path: Path, scored: ScoredPolicy) -> None:
         path: Ends in `SCORES_SUFFIX`.
         scored: What was measured.
     """
-    text = {
-        "scores_format": SCORES_FORMAT,
-        "digest": scored.digest,
-        "header": dict(scored.header),
-        "metrics": list(scored.values),
-    }
+    text: dict[str, Any] = {"scores_format": SCORES_FORMAT, "digest": scored.digest}
+    text |= {"header": dict(scored.header), "metrics": list(scored.values)}
     arrays: dict[str, Array] = {
         "text": np.frombuffer(json.dumps(text, sort_keys=True).encode(), np.uint8),
         "heaps": scored.heaps,
@@ -176,12 +172,7 @@ def save_scores(path: Path, scored: ScoredPolicy) -> None:
         "modes": np.array([EPISODE_MODES.index(one.mode) for one in scored.modes], np.uint8),
         "stretches": np.array([one.stretch for one in scored.modes], np.uint16),
     }
-
-    def write(partial: Path) -> None:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-
-    write_whole(path, write)
+    write_whole(path, lambda partial: np.savez_compressed(partial, allow_pickle=False, **arrays))
 
 
 def load_scores(path: Path) -> ScoredPolicy:

@@ -1,7 +1,7 @@
 """Tables as data: numbers in the units that people read, policies in rows."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,14 @@ from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, Estimate
 
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"
+TRADEOFF = ("episode_actions", "clutter_moved_m")
+PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
+"""What the paper's Figure 4 shows."""
+
+EPISODES_NOTE = (
+    "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
+    "all its actions. Clutter moved is the path length of a non-target object."
+)
 
 
 @dataclass(frozen=True)
@@ -78,20 +86,33 @@ def cell(metric: str, estimate: Estimate | None, signed: bool = False) -> str:
     """Return a mean with its interval on a second line; nothing where it was not measured."""
     if estimate is None:
         return ""
-    mean, low, high = _shown(metric, estimate, signed)
-    return mean if np.isnan(estimate.ci_low) else f"{mean}\n{low} to {high}"
+    return _with_interval(estimate, lambda end: number(metric, end, signed), "\n{} to {}")
 
 
 def difference_text(metric: str, estimate: Estimate) -> str:
     """Return a difference in one line, with its interval if it has one."""
-    return _in_line(estimate, _shown(metric, estimate, signed=True))
+    return _with_interval(estimate, lambda end: number(metric, end, True), " ({} to {})")
 
 
 def percent(estimate: Estimate) -> str:
     """Return a share, with its interval if it has one."""
-    ends = (estimate.mean, estimate.ci_low, estimate.ci_high)
     # What rounds to nothing has no sign.
-    return _in_line(estimate, [f"{round(end, 2) + 0.0:.0%}".replace("-", MINUS) for end in ends])
+    return _with_interval(estimate, lambda e: f"{round(e, 2) + 0.0:.0%}", " ({} to {})")
+
+
+def plain_numbers(estimate: Estimate | None) -> list[str]:
+    """Return a mean and the ends of its interval for a CSV file; empty where not measured."""
+    return [f"{end:.6g}" for end in astuple(estimate)[:3]] if estimate else [""] * 3
+
+
+def policy_table(caption: str, scores: Mapping[str, Scores], metrics: Iterable[str]) -> Table:
+    """Return policies in rows and metrics in columns."""
+    columns = {metric: display(metric).label for metric in metrics}
+    rows = (
+        (name, *(cell(metric, row.get(metric)) for metric in columns))
+        for name, row in scores.items()
+    )
+    return Table(caption, ("policy", *columns.values()), tuple(rows))
 
 
 def score_table(
@@ -107,28 +128,19 @@ def score_table(
         facts: Columns to put before the scores: of each policy, by their headings.
     """
     grasped = [name for name in GRASP_METRICS if any(name in row for row in scores.values())]
-    metrics = (*METRICS, *grasped)
+    table = policy_table(caption, scores, (*METRICS, *grasped))
     before = facts or {}
-    rows = [
-        (
-            name,
-            *(column[i] for column in before.values()),
-            *(cell(metric, row.get(metric)) for metric in metrics),
-        )
-        for i, (name, row) in enumerate(scores.items())
-    ]
-    return Table(caption, ("policy", *before, *(display(m).label for m in metrics)), tuple(rows))
+    rows = (
+        (name, *(column[i] for column in before.values()), *cells)
+        for i, (name, *cells) in enumerate(table.rows)
+    )
+    return replace(table, columns=("policy", *before, *table.columns[1:]), rows=tuple(rows))
 
 
 def terms_table(scores: Mapping[str, Scores], caption: str = "Reward terms") -> Table:
     """Return policies in rows and the terms of the reward, with their sum, in columns."""
     terms = dict.fromkeys(m for row in scores.values() for m in row if m.startswith("term_"))
-    columns = ("policy", *(display(term).label for term in terms), "reward")
-    rows = [
-        (name, *(cell(metric, row.get(metric)) for metric in (*terms, "reward")))
-        for name, row in scores.items()
-    ]
-    return Table(caption, columns, tuple(rows))
+    return policy_table(caption, scores, (*terms, "reward"))
 
 
 def count_table(scores: Mapping[str, Mapping[int, Scores]], metric: str, where: str = "") -> Table:
@@ -161,14 +173,9 @@ def to_text(table: Table) -> str:
     return text.replace(MINUS, "-")
 
 
-def _shown(metric: str, estimate: Estimate, signed: bool) -> list[str]:
-    ends = (estimate.mean, estimate.ci_low, estimate.ci_high)
-    return [number(metric, end, signed) for end in ends]
-
-
-def _in_line(estimate: Estimate, shown: Sequence[str]) -> str:
-    mean, low, high = shown
-    return mean if np.isnan(estimate.ci_low) else f"{mean} ({low} to {high})"
+def _with_interval(estimate: Estimate, shown: Callable[[float], str], form: str) -> str:
+    mean, *ends = (shown(end).replace("-", MINUS) for end in astuple(estimate)[:3])
+    return mean if np.isnan(estimate.ci_low) else mean + form.format(*ends)
 
 
 def _one_line(text: str) -> str:

@@ -1,4 +1,4 @@
-"""What all pictures share: a green target, captions, and rows of pictures."""
+"""What all pictures share: heaps with a green target, captions, and rows of pictures."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
+
+from mechsearch.camera import Camera
+from mechsearch.render.renderer import Renderer
+from mechsearch.types import Array
 
 SMOOTHING = 2
 """Pictures are rendered so many times larger than they are shown."""
@@ -27,6 +31,15 @@ def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
     inner = ndimage.binary_erosion(mask, iterations=max(1, len(mask) // 280), border_value=1)
     result[mask & ~np.asarray(inner, np.bool_)] = _RIM
     return np.asarray(np.clip(result, 0, 255), np.uint8)
+
+
+def photographed(
+    renderer: Renderer, camera: Camera, poses: Array, target: int, pusher: Array | None = None
+) -> Image.Image:
+    """Return a heap with its target tinted; see `Renderer.frame`."""
+    frame = renderer.frame(camera, poses, pusher, colour=True)
+    assert frame.rgb is not None
+    return Image.fromarray(tinted(frame.rgb, frame.modal(target)))
 
 
 def shrunk(image: Image.Image, size: int) -> Image.Image:

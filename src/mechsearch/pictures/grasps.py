@@ -1,4 +1,4 @@
-"""Grasps drawn on the depth image they were planned on."""
+"""Grasps drawn on the depth image they were planned on, and strips of the lifts that follow."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from mechsearch.camera import Camera, look_at
 from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.image_grasp import ImageGrasp
-from mechsearch.pictures.canvas import captioned, tinted
-from mechsearch.types import Floats
+from mechsearch.objects.model import ObjectModel
+from mechsearch.pictures import canvas
+from mechsearch.render.renderer import Renderer
+from mechsearch.sim.gripper import Gripper
+from mechsearch.sim.lift import LiftFrame
+from mechsearch.types import Floats, MechSearchError
 
 _LOW, _HIGH = np.array([214.0, 60.0, 45.0]), np.array([28.0, 98.0, 235.0])
 
@@ -47,8 +52,13 @@ def draw_grasps(
         colour = _colour(grasp.quality)
         half_width = view.camera.fx * opening / grasp.depth / 2 * scale
         middle = np.array([grasp.column + 0.5 - left, grasp.row + 0.5 - top]) * scale
-        _draw_jaws(pen, middle, grasp.axis, half_width, colour, 4 if i == 0 else 1)
-    return captioned(picture, caption, text=max(12, size // 28))
+        width = 4 if i == 0 else 1
+        along, across = half_width * grasp.axis, 0.22 * half_width * grasp.axis[::-1] * [-1, 1]
+        ends = middle - along, middle + along
+        pen.line([*map(tuple, ends)], colour, max(1, width // 2))
+        for end in ends:
+            pen.line([tuple(end - across), tuple(end + across)], colour, width)
+    return canvas.captioned(picture, caption, text=max(12, size // 28))
 
 
 def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8]:
@@ -60,25 +70,73 @@ def _shaded(view: GraspView, top: int, left: int, side: int) -> NDArray[np.uint8
     near = float(np.percentile(depth, 1))
     grey = 235 - 190 * np.clip((depth - near) / max(view.far - near, 1e-3), 0, 1)
     colour = np.repeat(grey[..., None], 3, axis=2)
-    return tinted(colour.astype(np.uint8), view.mask[np.ix_(rows, columns)])
-
-
-def _draw_jaws(
-    pen: ImageDraw.ImageDraw,
-    middle: Floats,
-    axis: Floats,
-    half: float,
-    colour: tuple[int, int, int],
-    width: int,
-) -> None:
-    across = np.array([-axis[1], axis[0]]) * 0.22 * half
-    ends = middle - half * axis, middle + half * axis
-    pen.line([*map(tuple, ends)], colour, max(1, width // 2))
-    for end in ends:
-        pen.line([tuple(end - across), tuple(end + across)], colour, width)
+    return canvas.tinted(colour.astype(np.uint8), view.mask[np.ix_(rows, columns)])
 
 
 def _colour(quality: float) -> tuple[int, int, int]:
     share = 0.0 if np.isnan(quality) else min(max(quality, 0.0), 1.0)
     red, green, blue = (_LOW + share * (_HIGH - _LOW)).astype(int).tolist()
     return red, green, blue
+
+
+def lift_strip(
+    frames: Sequence[LiftFrame],
+    models: Sequence[ObjectModel],
+    gripper: Gripper,
+    target: int,
+    caption: str,
+    count: int = 8,
+    size: int = 200,
+) -> Image.Image:
+    """Return `count` frames of a filmed lift side by side, from the first to the last.
+
+    Args:
+        frames: The film, as `LiftWorld.lift` took it.
+        models: Objects of the heap, in the order of its poses.
+        gripper: The gripper.
+        target: Index of the target.
+        caption: Written below.
+        count: Frames to show.
+        size: Side of a frame [px].
+
+    Raises:
+        MechSearchError: If the film is empty.
+    """
+    if not frames:
+        raise MechSearchError("the film of this lift has no frames; pass a list as its `film`")
+    middle = frames[-1].gripper[1:, :3].mean(axis=0) * [1, 1, 0] + [0, 0, 0.1]
+    eye = middle + 0.55 * _across(frames[0].gripper) + [0.0, 0.0, 0.4]
+    pixels, text = size * canvas.SMOOTHING, max(11, size // 13)
+    centre = (pixels - 1) / 2
+    pose, focal = look_at(eye, middle, (0, 0, 1)), 1.45 * pixels
+    camera = Camera(pixels, pixels, focal, focal, centre, centre, pose)
+    renderer = Renderer([*models, *gripper.models()])
+    tiles = []
+    for frame in (frames[i] for i in _spread(frames, count)):
+        poses = np.concatenate([frame.poses, frame.gripper])
+        tile = canvas.shrunk(canvas.photographed(renderer, camera, poses, target), size)
+        ImageDraw.Draw(tile).text((4, 2), frame.phase, "white", font_size=text)
+        tiles.append(tile)
+    return canvas.captioned(canvas.tiled(tiles, len(tiles), gap=0), caption, text=text)
+
+
+def _across(parts: Floats) -> Floats:
+    """Return the horizontal direction (3,) across the closing direction, towards -y."""
+    closing = parts[1, :3] - parts[2, :3]
+    across = np.array([closing[1], -closing[0], 0.0])
+    length = float(np.linalg.norm(across))
+    if length < 1e-6:
+        return np.array([0.0, -1.0, 0.0])
+    across /= length
+    return across if across[1] < 0 else -across
+
+
+def _spread(frames: Sequence[LiftFrame], count: int) -> list[int]:
+    """Return indices of frames, most of them after the descent."""
+    last = len(frames) - 1
+    down = [i for i, frame in enumerate(frames) if frame.phase == "descend"]
+    rest = last - len(down)
+    if rest < 2:
+        return sorted({round(i * last / max(count - 1, 1)) for i in range(count)})
+    later = {len(down) + round(i * rest / max(count - 3, 1)) for i in range(count - 2)}
+    return sorted({0, len(down) - 1, *(min(i, last) for i in later)} - {-1})

@@ -8,9 +8,9 @@ from PIL import Image
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import BACKGROUND, SMOOTHING, captioned, shrunk, tiled, tinted
+from mechsearch.pictures.canvas import BACKGROUND, SMOOTHING, captioned, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import Floats, MechSearchError
+from mechsearch.types import MechSearchError
 
 
 def object_sheet(
@@ -63,11 +63,8 @@ def heap_sheet(
         missing = [name for name in heap.objects if name not in models]
         if missing:
             raise MechSearchError(f"heap {heap.seed} has an object {missing[0]!r} of another set")
-        frame = Renderer([models[name] for name in heap.objects]).frame(
-            view, heap.poses, colour=True
-        )
-        assert frame.rgb is not None
-        image = Image.fromarray(tinted(frame.rgb, frame.modal(heap.target)))
+        renderer = Renderer([models[name] for name in heap.objects])
+        image = photographed(renderer, view, heap.poses, heap.target)
         title = f"{heap.objects[heap.target].replace('_', ' ')}, {heap.occlusion:.0%} hidden"
         facts = f"{heap.condition}, {heap.count} objects" + (", held out" if heap.held_out else "")
         tiles.append(_tile(shrunk(image, size), title, facts))
@@ -76,23 +73,18 @@ def heap_sheet(
 
 def _portrait(model: ObjectModel, size: int) -> Image.Image:
     """Return an object seen from above at an angle, filling the frame."""
-    pose = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    camera = _portrait_camera(model.vertices, model.radius, size * SMOOTHING)
-    frame = Renderer([model], table_half=0.0, floor=-100.0).frame(camera, pose[None], colour=True)
+    middle = (model.vertices.min(axis=0) + model.vertices.max(axis=0)) / 2
+    eye = middle + np.array([0.5, -0.9, 0.75]) * model.radius * 5
+    pose, pixels = look_at(eye, middle, (0, 0, 1)), size * SMOOTHING
+    unit = Camera(pixels, pixels, 1.0, 1.0, 0.0, 0.0, pose)
+    focal = 0.47 * pixels / float(np.abs(unit.project(model.vertices)[:, :2]).max())
+    centre = (pixels - 1) / 2
+    camera = Camera(pixels, pixels, focal, focal, centre, centre, pose)
+    lying = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+    frame = Renderer([model], table_half=0.0, floor=-100.0).frame(camera, lying, colour=True)
     assert frame.rgb is not None
     rgb = np.where((frame.ids == 0)[..., None], frame.rgb, np.array(BACKGROUND)).astype(np.uint8)
     return shrunk(Image.fromarray(rgb), size)
-
-
-def _portrait_camera(vertices: Floats, radius: float, size: int) -> Camera:
-    eye = np.array([0.5, -0.9, 0.75]) * radius * 5
-    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    pose = look_at(middle + eye, middle, (0, 0, 1))
-    centre = (size - 1) / 2
-    unit = Camera(size, size, 1.0, 1.0, 0.0, 0.0, pose)
-    half = np.abs(unit.project(vertices)[:, :2]).max()
-    focal = 0.94 * size / 2 / float(half)
-    return Camera(size, size, focal, focal, centre, centre, pose)
 
 
 def _tile(image: Image.Image, title: str, facts: str) -> Image.Image:

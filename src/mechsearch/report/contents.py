@@ -1,22 +1,29 @@
-"""What a report holds: claims or comparisons, figures, scores, failures, and how it was made."""
+"""What a report holds: claims or comparisons, figures, scores, failures, and how it was made.
 
+Pictures of episodes are chosen by rule, not by hand.
+"""
+
+import io
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 from matplotlib.figure import Figure
+from PIL import Image
 
+from mechsearch.evaluation.episodes import EpisodeRecord, load_episodes
 from mechsearch.findings import analysis, failure_modes
 from mechsearch.findings.analysis import Analysis
 from mechsearch.findings.claims import Ruling, answer_table, overview_table
-from mechsearch.findings.comparisons import comparison_table
-from mechsearch.findings.experiment import Experiment
-from mechsearch.findings.runs import EVALUATIONS
-from mechsearch.objects.model import ObjectModel
-from mechsearch.report import learning
+from mechsearch.findings.experiment import EVALUATIONS, Condition, Experiment
+from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
+from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
+from mechsearch.findings.tables import number
+from mechsearch.pictures.film import Film, FilmConfig, Models, filmstrip, start_and_end
+from mechsearch.report import figures
 from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
-from mechsearch.report.episodes import mode_pictures, ranked_pictures, ranking_text
-from mechsearch.report.figures import draw_scores, draw_tradeoff, to_svg
 
-Models = Mapping[str, Mapping[str, ObjectModel]]
+SHOWN_MODES = (SUCCESS, BACK_AND_FORTH, HOVERING)
+_FRAMES, _STRIP, _PAIR = 4, 320, 224
 
 _CLAIMS_NOTE = (
     "Every row compares one number with a threshold. It holds if the whole 95 % interval lies on "
@@ -37,7 +44,7 @@ _PANELS = (
 )
 
 
-def document(found: Analysis, title: str, models: Models | None = None) -> Document:
+def document(found: Analysis, title: str, models: Mapping[str, Models] | None = None) -> Document:
     """Return the whole report.
 
     Args:
@@ -46,27 +53,25 @@ def document(found: Analysis, title: str, models: Models | None = None) -> Docum
         models: Objects by name for each condition, to draw episodes; None leaves pictures out.
     """
     experiment = found.experiment
+    planned = experiment.plan is not None
     sections: dict[str, Iterator[Content]] = {}
-    if experiment.plan is not None:
+    if planned:
         sections["What the paper claims"] = _rulings(found.paper, _CLAIMS_NOTE)
         sections["What this project asks besides"] = _rulings(found.goals)
     else:
         sections["What beat what"] = _comparisons(found)
-    if experiment.plan is not None:
+    if planned or experiment.runs:
         sections["Learning"] = _learning(experiment)
-    elif experiment.runs:
-        sections["Learning"] = _runs(experiment)
     sections["Actions used against clutter moved"] = _tradeoff(experiment)
     sections["Scores"] = _scores(experiment)
     sections["How episodes end"] = _modes(experiment, models or {})
-    if models and experiment.plan is None:
+    if models and not planned:
         sections["Episodes"] = _episodes(experiment, models)
-    sections["How this was made"] = _made(experiment)
-    return Document(
-        title,
-        analysis.lead(experiment),
-        [Section(name, list(blocks)) for name, blocks in sections.items()],
-    )
+    notes = (Paragraph(note, "note") for note in analysis.made_notes(experiment))
+    tables = map(analysis.made_table, experiment.conditions.values())
+    sections["How this was made"] = chain(tables, notes)
+    filled = [Section(name, list(blocks)) for name, blocks in sections.items()]
+    return Document(title, analysis.lead(experiment), filled)
 
 
 def _rulings(rulings: Sequence[Ruling], note: str = "") -> Iterator[Content]:
@@ -87,61 +92,50 @@ def _comparisons(found: Analysis) -> Iterator[Content]:
         verdict, *others = comparison.sentences
         yield Paragraph(verdict, "verdict")
         yield from map(Paragraph, others)
-        yield comparison_table(comparison)
+        yield analysis.comparison_table(comparison)
     yield Paragraph(_COMPARISONS_NOTE, "note")
 
 
 def _drawn(figure: Figure, name: str, alt: str, caption: str) -> Picture:
-    return Picture(to_svg(figure), alt, caption, name)
+    return Picture(figures.to_svg(figure), alt, caption, name)
 
 
-def _scored_on(experiment: Experiment) -> str:
+def _learning(experiment: Experiment) -> Iterator[Content]:
     where = EVALUATIONS.get(experiment.scored_on, "")
     scored = f"Scored without noise or teachers on {where}." if where else "No run was recorded."
-    return (
+    note = (
         f"{scored} Thick: mean over training seeds; thin: each seed; band: Student's 95 % interval "
         "over seeds. Diamonds: final scores, and grey levels: policies that do not learn, both on "
         "the final heaps."
     )
-
-
-def _learning(experiment: Experiment) -> Iterator[Content]:
-    both = _scored_on(experiment)
-    yield _drawn(
-        learning.draw_learning(experiment),
-        "learning",
-        "Learning curves of four metrics",
-        f"Learning curves. {both}",
-    )
-    yield _drawn(
-        learning.draw_ablation(experiment),
-        "ablation",
-        "Learning curves of the method and its ablations",
-        "The method, and what is left of it without teachers, without the asymmetry of actor "
-        f"and critic, and with colour and label instead of the position image. {both}",
-    )
-
-
-def _runs(experiment: Experiment) -> Iterator[Content]:
-    if experiment.scored_on:
-        names = list(dict.fromkeys(run.name for run in experiment.runs))
+    if experiment.plan is not None:
+        figure = figures.draw_learning(experiment)
+        alt = "Learning curves of four metrics"
+        yield _drawn(figure, "learning", alt, f"Learning curves. {note}")
         yield _drawn(
-            learning.draw_curves(experiment, learning.RUN_METRICS, names, 2.5),
-            "learning",
-            "Learning curves of the runs",
-            f"Evaluations during training. {_scored_on(experiment)}",
+            figures.draw_ablation(experiment),
+            "ablation",
+            "Learning curves of the method and its ablations",
+            "The method, and what is left of it without teachers, without the asymmetry of actor "
+            f"and critic, and with colour and label instead of the position image. {note}",
         )
+        return
+    if where:
+        names = list(dict.fromkeys(run.name for run in experiment.runs))
+        figure = figures.draw_curves(experiment, figures.RUN_METRICS, names, 2.5)
+        alt = "Learning curves of the runs"
+        yield _drawn(figure, "learning", alt, f"Evaluations during training. {note}")
     for run in experiment.runs:
-        figure = learning.draw_training(run)
-        if figure:
+        training = figures.draw_training(run)
+        if training:
             caption = f"Training of {run.name}, seed {run.seed}."
-            yield _drawn(figure, f"training-{run.name}-seed{run.seed}", caption, caption)
+            yield _drawn(training, f"training-{run.name}-seed{run.seed}", caption, caption)
 
 
 def _tradeoff(experiment: Experiment) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         yield _drawn(
-            draw_tradeoff(condition),
+            figures.draw_tradeoff(condition),
             f"tradeoff-{name}",
             f"Actions used against clutter moved in {name} heaps",
             f"{name.capitalize()} heaps: the nearer to the lower left the better. {_PANELS}",
@@ -152,7 +146,7 @@ def _scores(experiment: Experiment) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         scores = {policy: [condition.scores_of(policy)] for policy in condition.policies}
         yield _drawn(
-            draw_scores(scores, condition.subjects),
+            figures.draw_scores(scores, condition.subjects),
             f"scores-{name}",
             f"Means and intervals of each policy in {name} heaps; the table has the numbers",
             f"{name.capitalize()} heaps: means with 95 % intervals.",
@@ -161,22 +155,106 @@ def _scores(experiment: Experiment) -> Iterator[Content]:
     yield Paragraph(analysis.SCORES_NOTE, "note")
 
 
-def _modes(experiment: Experiment, models: Models) -> Iterator[Content]:
+def _modes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         yield analysis.mode_table(condition)
         if name in models:
             yield from mode_pictures(condition, models[name])
-    yield Paragraph(failure_modes.definition(), "note")
+    yield Paragraph(failure_modes.DEFINITION, "note")
 
 
-def _episodes(experiment: Experiment, models: Models) -> Iterator[Content]:
+def _episodes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         if name in models:
-            yield Paragraph(ranking_text(condition))
+            yield Paragraph(
+                f"Three {name} heaps, chosen by rank: where {condition.subjects[0]} had its "
+                f"{', its '.join(RANKS[:-1])} and its {RANKS[-1]} reward. Of each pair, left: the "
+                "start, with the visible part of the target in green and the path of the end "
+                "effector in blue, from ring to dot; right: the end."
+            )
             yield from ranked_pictures(condition, models[name])
 
 
-def _made(experiment: Experiment) -> Iterator[Content]:
-    yield from map(analysis.made_table, experiment.conditions.values())
-    for note in analysis.made_notes(experiment):
-        yield Paragraph(note, "note")
+def mode_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
+    """Yield filmstrips of one success and one episode of each failure mode (paper, Fig. 1 and 6).
+
+    Args:
+        condition: Whose policies are shown: those that learnt, the first that has the mode.
+        models: Objects by name.
+    """
+    for mode in SHOWN_MODES:
+        example = exemplary_episode(condition, mode)
+        if example is None:
+            continue
+        scored, index = example
+        seed = int(scored.heaps[index])
+        record = next(one for one in load_episodes(scored.path).episodes if one.heap_seed == seed)
+        caption = (
+            f"{mode.capitalize()}: {scored.name}, seed {scored.seed}, on {condition.name} heap "
+            f"{seed} of {int(scored.counts[index])} objects, {_uncovering(record)}"
+        )
+        if mode != SUCCESS:
+            caption += f"; nothing moves for {scored.modes[index].stretch} actions in a row"
+        strip = filmstrip(Film(record, models, FilmConfig(size=_STRIP)), _FRAMES)
+        yield Picture(_encoded(strip), f"Frames of an episode. {caption}", f"{caption}.")
+
+
+def exemplary_episode(condition: Condition, mode: str) -> tuple[ScoredPolicy, int] | None:
+    """Return a policy and the index of the heap that shows a mode; None if no recorded one does.
+
+    Of the successes it is the median in reward, of the failures the one in which nothing moves for
+    longest.
+    """
+    for name in condition.subjects:
+        candidates = [
+            (scored, i)
+            for scored in condition.policies[name]
+            if scored.path.exists()
+            for i, found in enumerate(scored.modes)
+            if found.mode == mode
+        ]
+        if candidates and mode == SUCCESS:
+            ranked = sorted(candidates, key=lambda one: float(one[0].values["reward"][one[1]]))
+            return ranked[len(ranked) // 2]
+        if candidates:
+            return max(candidates, key=lambda one: one[0].modes[one[1]].stretch)
+    return None
+
+
+def ranked_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
+    """Yield start and end of every policy on three heaps: the first that learnt ranks them.
+
+    Args:
+        condition: Whose policies are shown, the first seed of each whose episodes are there.
+        models: Objects by name.
+    """
+    chooser = condition.policies[condition.subjects[0]][0]
+    heaps = ranked_heaps(chooser.heaps, chooser.values["reward"])
+    config = FilmConfig(size=_PAIR, captions=False)
+    for name, seeds in condition.policies.items():
+        files = [scored.path for scored in seeds if scored.path.exists()]
+        if not files:
+            continue
+        records = {record.heap_seed: record for record in load_episodes(files[0]).episodes}
+        shown = {rank: records[heap] for rank, heap in heaps.items() if heap in records}
+        films = [Film(record, models, config) for record in shown.values()]
+        caption = "; ".join(
+            f"{rank}: {_uncovering(record)} ({record.end}), reward "
+            f"{number('reward', float(record.rewards.sum()))}"
+            for rank, record in shown.items()
+        )
+        if films:
+            alt = f"Start and end of {len(films)} episodes. {name}: {caption}"
+            yield Picture(_encoded(start_and_end(*films)), alt, f"{name}, {caption}.")
+
+
+def _uncovering(record: EpisodeRecord) -> str:
+    before, after = record.occlusions[0], record.occlusions[-1]
+    return f"{before:.0%} to {after:.0%} hidden in {len(record.actions)} actions"
+
+
+def _encoded(image: Image.Image) -> bytes:
+    """Return an image as a PNG of 256 colours, a third of the size of a full one."""
+    buffer = io.BytesIO()
+    image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()

@@ -1,18 +1,39 @@
-"""A report as data, whatever it is printed on: sections of paragraphs, tables and pictures.
+"""A report as data: sections of paragraphs, tables and pictures; as one HTML page, and as a PDF.
 
-Its page needs no other file: there is no script, and nothing is fetched.
+The page needs no other file: there is no script, and nothing is fetched. Both are the same bytes
+from the same document.
 """
 
 import base64
+import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import Final
 
+import matplotlib
+from fpdf import FPDF
+from fpdf.enums import TableBordersLayout
+from fpdf.fonts import FontFace
+from PIL import Image
+
+from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table
 
 _PAGE = Path(__file__).with_name("page.html")
+# A file's date is not part of what it says, and would change its bytes.
+_DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)
+_FAMILY = "DejaVu"
+_INK, _SOFT = (32, 36, 44), (91, 97, 107)
+_MARKS = {"better": (0, 105, 75), "worse": (166, 63, 0)}
+_MARGIN = 16.0
+_LINE = 1.35
+_POINT = 25.4 / 72
+_LEAST_HEIGHT = 30.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +64,19 @@ class Picture:
     alt: str
     caption: str
     name: str = ""
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height in any unit."""
+        if isinstance(self.content, bytes):
+            with Image.open(io.BytesIO(self.content)) as image:
+                return image.width, image.height
+        head = self.content.split("<svg", 1)[1].split(">", 1)[0]
+        width, height = (
+            float(head.split(f'{side}="', 1)[1].split('"', 1)[0].removesuffix("pt"))
+            for side in ("width", "height")
+        )
+        return width, height
 
 
 Content = Paragraph | Table | Picture
@@ -112,15 +146,15 @@ def _block_html(block: Content) -> str:
 
 def _table_html(table: Table) -> str:
     head = "".join(f'<th scope="col">{escape(column)}</th>' for column in table.columns)
-    body = []
+    body = ""
     for i, (name, *cells) in enumerate(table.rows):
         marks = table.marks[i] if table.marks else [""] * len(cells)
         data = "".join(map(_cell_html, cells, marks))
-        body.append(f'<tr><th scope="row">{escape(name)}</th>{data}</tr>')
+        body += f'<tr><th scope="row">{escape(name)}</th>{data}</tr>'
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
     return (
         f'<div class="wide"><table{_class("words" if table.words else "")}>{caption}<thead><tr>'
-        f"{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
+        f"{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
@@ -132,3 +166,139 @@ def _cell_html(text: str, mark: str) -> str:
 
 def _class(name: str) -> str:
     return f' class="{name}"' if name else ""
+
+
+def write_pdf(path: Path, document: Document) -> None:
+    """Write a document on A4 pages, whole or not at all."""
+    content = to_pdf(document)
+    write_whole(path, lambda partial: partial.write_bytes(content))
+
+
+def to_pdf(document: Document) -> bytes:
+    """Return a document as the bytes of a PDF."""
+    pages = _Pages()
+    pages.set_title(document.title)
+    pages.add_page()
+    pages.write_text(document.title, 20, bold=True, after=2)
+    pages.write_text(document.lead, 11, colour=_SOFT, after=3)
+    for section in document.sections:
+        pages.head(section, 14, before=5)
+        for block in section.blocks:
+            pages.put(block)
+    return bytes(pages.output())
+
+
+class _Pages(FPDF):
+    """A4 pages that are filled block by block."""
+
+    def __init__(self) -> None:
+        super().__init__(format="A4", unit="mm")
+        self.set_creation_date(_DATE)
+        self.set_margins(_MARGIN, _MARGIN)
+        self.set_auto_page_break(True, _MARGIN)
+        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+        self.add_font(_FAMILY, "", fonts / "DejaVuSans.ttf")
+        self.add_font(_FAMILY, "B", fonts / "DejaVuSans-Bold.ttf")
+
+    def footer(self) -> None:
+        """Number the page."""
+        self.set_y(-10)
+        self.set_font(_FAMILY, "", 8)
+        self.set_text_color(*_SOFT)
+        self.cell(0, 5, str(self.page_no()), align="C")
+
+    def put(self, block: Content) -> None:
+        """Add one block below the last."""
+        if isinstance(block, Paragraph):
+            size = {"note": 8.0, "verdict": 10.5}.get(block.kind, 9.5)
+            colour = _SOFT if block.kind == "note" else _INK
+            self.write_text(block.text, size, colour=colour, after=2)
+        elif isinstance(block, Table):
+            self.put_table(block)
+        else:
+            self.put_picture(block)
+
+    def head(self, section: Section, size: float, before: float) -> None:
+        """Add a heading, on a new page if what comes first would not fit below it."""
+        self.ln(before)
+        first = section.blocks[0] if section.blocks else None
+        below = self.fitted(first)[1] if isinstance(first, Picture) else 0
+        self.need(_LEAST_HEIGHT + below)
+        self.write_text(section.title, size, bold=True, after=1.5)
+
+    def need(self, height: float) -> None:
+        """Begin a new page unless so much room is left on this one."""
+        if self.get_y() + height > self.h - _MARGIN:
+            self.add_page()
+
+    def write_text(
+        self,
+        text: str,
+        size: float,
+        bold: bool = False,
+        colour: tuple[int, int, int] = _INK,
+        after: float = 0,
+    ) -> None:
+        """Add text over the whole width."""
+        self.set_font(_FAMILY, "B" if bold else "", size)
+        self.set_text_color(*colour)
+        self.multi_cell(0, size * _POINT * _LINE, text, align="L", new_x="LMARGIN", new_y="NEXT")
+        self.ln(after)
+
+    def put_table(self, content: Table) -> None:
+        """Add a table whose headings come again on every page."""
+        columns = len(content.columns)
+        size = 7.5 if content.words or columns < 8 else 6.5 if columns < 11 else 6.0
+        self.need(_LEAST_HEIGHT)
+        if content.caption:
+            self.write_text(content.caption, 8.5, bold=content.words, after=1)
+        self.set_font(_FAMILY, "", size)
+        self.set_text_color(*_INK)
+        self.set_draw_color(190, 194, 200)
+        self.set_line_width(0.15)
+        align = "LEFT" if content.words else ("LEFT", *["RIGHT"] * (columns - 1))
+        with self.table(
+            borders_layout=TableBordersLayout.HORIZONTAL_LINES,
+            col_widths=tuple(content.widths) or _widths(content),
+            headings_style=FontFace(emphasis="BOLD", color=_INK),
+            line_height=size * _POINT * 1.3,
+            padding=(0.8, 1.0),
+            text_align=align,
+            v_align="TOP",
+        ) as table:
+            table.row(content.columns)
+            for i, cells in enumerate(content.rows):
+                row = table.row()
+                marks = ("", *content.marks[i]) if content.marks else [""] * len(cells)
+                for text, mark in zip(cells, marks, strict=True):
+                    style = FontFace(color=_MARKS[mark], emphasis="BOLD") if mark else None
+                    row.cell(text, style=style)
+        self.ln(3)
+
+    def put_picture(self, picture: Picture) -> None:
+        """Add a picture over the whole width, or as high as a page, with its caption."""
+        content = picture.content
+        if isinstance(content, str):
+            # Who made it and when is none of a drawing's shapes.
+            content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL).encode()
+        width, height = self.fitted(picture)
+        self.need(height + 8)
+        left = _MARGIN + (self.epw - width) / 2
+        self.image(io.BytesIO(content), x=left, w=width, h=height, alt_text=picture.alt)
+        self.ln(1)
+        self.write_text(picture.caption, 8, colour=_SOFT, after=3)
+
+    def fitted(self, picture: Picture) -> tuple[float, float]:
+        """Return width and height at which a picture is printed below a heading."""
+        width, height = picture.size
+        scale = min(self.epw / width, (self.h - 2 * _MARGIN - 30) / height)
+        return width * scale, height * scale
+
+
+def _widths(table: Table) -> tuple[float, ...]:
+    """Return a width for each column by its longest line, or word of its bold heading."""
+    widths = []
+    for heading, *cells in zip(table.columns, *table.rows, strict=True):
+        lines = [line for text in cells for line in text.split("\n")]
+        widths.append(2 + max(*map(len, lines), *(1.5 * len(w) for w in heading.split()), 4))
+    return tuple(widths)

@@ -1,19 +1,30 @@
-"""Figures of scores, in one style; as SVG text, the same bytes from the same numbers."""
+"""Figures in one style: scores, what actions cost, and learning curves over seeds.
+
+As SVG text they are the same bytes from the same numbers. Learning curves are drawn as the paper's
+Figures 4 and 5 have them.
+"""
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from itertools import cycle
+from typing import Any, NamedTuple
 
 import matplotlib.style
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mechsearch.evaluation.episodes import HIGHER_IS_BETTER, METRICS, Estimate, SummaryRow
-from mechsearch.findings.analysis import TRADEOFF
-from mechsearch.findings.experiment import Condition
-from mechsearch.findings.tables import Scores, display
+from mechsearch.findings.experiment import (
+    Condition,
+    Experiment,
+    LearningCurve,
+    Run,
+    learning_curve,
+)
+from mechsearch.findings.tables import PAPER_METRICS, TRADEOFF, Scores, display
 from mechsearch.types import Floats, MechSearchError
 
 # Okabe and Ito's colours, told apart by colour-blind readers; yellow is left out on white paper.
@@ -52,25 +63,22 @@ _STYLE: dict[str, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.8,
 }
+_style = partial(matplotlib.style.context, _STYLE)
 _RULES: dict[str, Any] = {"color": "#e3e5e8", "linewidth": 0.8}
+
+LEARNING = ("method", "plus", "ddpg")
+ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
+ABLATION_METRICS = ("reward", "visibility_change")
+RUN_METRICS = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
+_WINDOW = 15
 
 
 def policy_marks(names: Iterable[str]) -> dict[str, tuple[str, str]]:
     """Return colour and mark of policies: those of the paper have their own in all figures."""
     listed = list(names)
-    free = [c for c in COLOURS if c not in {_POLICIES[n][0] for n in listed if n in _POLICIES}]
-    others = [name for name in listed if name not in _POLICIES]
-    marks = {
-        name: ((free or COLOURS)[i % len(free or COLOURS)], ".") for i, name in enumerate(others)
-    }
-    return {name: _POLICIES.get(name) or marks[name] for name in listed}
-
-
-@contextmanager
-def style() -> Iterator[None]:
-    """Draw in the project's style within the block."""
-    with matplotlib.style.context(_STYLE):
-        yield
+    taken = {_POLICIES[name][0] for name in listed if name in _POLICIES}
+    free = cycle([colour for colour in COLOURS if colour not in taken] or COLOURS)
+    return {name: _POLICIES.get(name) or (next(free), ".") for name in listed}
 
 
 def panels(number: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
@@ -84,7 +92,7 @@ def panels(number: int, columns: int, width: float, height: float) -> tuple[Figu
 def to_svg(figure: Figure) -> str:
     """Return a figure as SVG text without a date."""
     buffer = io.StringIO()
-    with style():
+    with _style():
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
 
@@ -96,7 +104,7 @@ def draw_scores(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str]
         scores: Each policy's scores, one for every seed or one for all.
         highlight: Policies drawn in colour; the others are grey.
     """
-    with style():
+    with _style():
         height = 0.9 + 0.27 * sum(max(1, len(seeds)) for seeds in scores.values())
         figure, axes = panels(len(METRICS), 3, 3.4, height)
         for i, (metric, ax) in enumerate(zip(METRICS, axes, strict=True)):
@@ -130,27 +138,21 @@ def draw_tradeoff(condition: Condition) -> Figure:
     One panel has all heaps; one follows for each number of objects.
     """
     counts: list[int | None] = [None, *(condition.counts if len(condition.counts) > 1 else [])]
-    found = [
-        {
-            name: scores
-            for name in condition.policies
-            if (scores := condition.scores_of(name, TRADEOFF, count))
-        }
+    measured = [
+        {name: condition.scores_of(name, TRADEOFF, count) for name in condition.policies}
         for count in counts
     ]
+    found = [{name: scores for name, scores in panel.items() if scores} for panel in measured]
     limits = _limits([scores for panel in found for scores in panel.values()])
     columns = min(len(counts), 4)
-    with style():
+    with _style():
         figure, axes = panels(len(counts), columns, PRINTED_WIDTH / columns, 2.4)
-        for i, (ax, count, panel) in enumerate(zip(axes, counts, found, strict=True)):
+        for ax, count, panel in zip(axes, counts, found, strict=True):
             _tradeoff_panel(ax, panel, limits)
             ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
-            if i % columns == 0:
-                ax.set_ylabel(display(TRADEOFF[1]).label)
-            if i + columns >= len(counts):
-                ax.set_xlabel("actions used")
-        handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+        for ax in axes[::columns]:
+            ax.set_ylabel(display(TRADEOFF[1]).label)
+        _label_below(figure, axes, columns, "actions used", ncols=5, fontsize=8)
     return figure
 
 
@@ -160,7 +162,7 @@ def draw_reliability(curves: Mapping[str, Floats]) -> Figure:
     Args:
         curves: By name: mean prediction, share of successes and number (b, 3) of each bin.
     """
-    with style():
+    with _style():
         figure, (ax, below) = panels(2, 1, 4.6, 2.9)
         ax.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle="--", zorder=0)
         for i, ((name, curve), colour) in enumerate(zip(curves.items(), COLOURS, strict=False)):
@@ -250,3 +252,201 @@ def _tradeoff_panel(
 
 def _scaled(estimate: Estimate, scale: float) -> tuple[float, float, float]:
     return estimate.mean * scale, estimate.ci_low * scale, estimate.ci_high * scale
+
+
+def _label_below(
+    figure: Figure, axes: Sequence[Axes], columns: int, axis: str, **looks: int
+) -> None:
+    """Name the axis below the lowest panels, and below them what they show, each thing once."""
+    for ax in axes[-columns:]:
+        ax.set_xlabel(axis)
+    labels: dict[str, Artist] = {}
+    for ax in axes:
+        for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+            labels.setdefault(name, handle)
+    if labels:
+        figure.legend(labels.values(), labels.keys(), loc="outside lower center", **looks)
+
+
+def draw_learning(experiment: Experiment) -> Figure:
+    """Return the paper's Figure 4: metrics in rows, conditions in columns, teachers as levels."""
+    return draw_curves(experiment, PAPER_METRICS, LEARNING, 2.15)
+
+
+def draw_ablation(experiment: Experiment) -> Figure:
+    """Return the paper's Figure 5: the method and what is left when a part of it is taken away."""
+    return draw_curves(experiment, ABLATION_METRICS, ABLATION, 2.5)
+
+
+def draw_curves(
+    experiment: Experiment, metrics: Sequence[str], variants: Sequence[str], height: float
+) -> Figure:
+    """Return the curves of some variants: metrics in rows, conditions in columns.
+
+    Args:
+        experiment: With the runs.
+        metrics: One row each, or two in a row where there is one condition.
+        variants: Names of the runs.
+        height: Of a row [inch].
+    """
+    conditions, kind = list(experiment.conditions.values()), experiment.scored_on
+    places = [(metric, condition) for metric in metrics for condition in conditions]
+    columns = max(2, len(conditions))
+    with _style():
+        figure, axes = panels(len(places), columns, PRINTED_WIDTH / columns, height)
+        for ax, (metric, condition) in zip(axes, places, strict=True):
+            _curves_panel(ax, condition, metric, variants, kind)
+        _label_below(figure, axes, columns, "training actions", ncols=4)
+    return figure
+
+
+def draw_training(run: Run) -> Figure | None:
+    """Return what went on in training, or None if nothing was logged.
+
+    Reinforcement: each episode's return, the critic's first Q against the return that followed,
+    the share of saturated actions, and who chose the actions. Pushes: each episode's return and its
+    number of pushes, and what each fit learnt from and found. Of episodes, running means.
+    """
+    if not run.records.get("episode"):
+        return None
+    diagrams = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
+    with _style():
+        figure, axes = panels(len(diagrams), 2, 4.8, 2.6)
+        for ax, diagram in zip(axes, diagrams, strict=True):
+            _draw_diagram(ax, run, diagram)
+    return figure
+
+
+class _Diagram(NamedTuple):
+    """Some numbers of one kind of record, beside each other."""
+
+    title: str
+    kind: str
+    keys: Sequence[str]
+    over: str = "step"
+    shares: bool = False
+
+
+_PUSHES = (
+    _Diagram("return of each episode", "episode", ["return"], "executed"),
+    _Diagram("pushes in each episode", "episode", ["pushes"], "executed"),
+    _Diagram("loss of each fit", "fit", ["loss"]),
+    _Diagram("rewards to come: at once, less for occlusion", "fit", ["at_once", "by_occlusion"]),
+    _Diagram("pushes learnt from", "fit", ["pushes"]),
+    _Diagram("actions", "fit", ["executed", "simulated"]),
+)
+
+
+def _reinforcement(run: Run) -> Sequence[_Diagram]:
+    choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
+    expected = "Q at the start, and the return that followed"
+    return (
+        _Diagram("return of each episode", "episode", ["return"]),
+        _Diagram(expected, "episode", ["q_start", "return_start"]),
+        _Diagram("share of saturated actions", "episode", ["saturated"], shares=True),
+        _Diagram("who chose the actions", "episode", choices, shares=True),
+    )
+
+
+def _draw_diagram(ax: Axes, run: Run, diagram: _Diagram) -> None:
+    window = _WINDOW if diagram.kind == "episode" else 1
+    for key, colour in zip(diagram.keys, COLOURS, strict=False):
+        steps, values = run.series(diagram.kind, key, diagram.over)
+        if len(steps):
+            label = key.removeprefix("chosen_").replace("_", " ")
+            ax.plot(steps, running_mean(values, window), color=colour, label=label)
+    ax.set_title(diagram.title)
+    ax.set_xlabel("training action")
+    if diagram.shares:
+        ax.set_ylim(-0.02, 1.02)
+    if len(diagram.keys) > 1 and ax.lines:
+        ax.legend(loc="best", fontsize=8)
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Return the mean of each value and those before it, at most `window` in all (n,)."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(values) + 1)
+    starts = np.maximum(ends - window, 0)
+    mean: Floats = (sums[ends] - sums[starts]) / (ends - starts)
+    return mean
+
+
+def _curves_panel(
+    ax: Axes, condition: Condition, metric: str, variants: Sequence[str], kind: str
+) -> None:
+    ax.set_title(f"{condition.name}: {display(metric).label}")
+    curves = ((n, learning_curve(condition.runs.get(n, ()), metric, kind)) for n in variants)
+    drawn = {name: found for name, found in curves if found}
+    means = {
+        name: float(condition.matrices([name], metric)[0].mean())
+        for name in condition.policies
+        if condition.measured(metric, name)
+    }
+    ends = {name: means.get(name, np.nan) for name in variants if name in condition.policies}
+    levels = {name: mean for name, mean in means.items() if name not in condition.learnt}
+    heights = [end for found in drawn.values() for end in (found.seeds.min(), found.seeds.max())]
+    heights += [mean for name, mean in means.items() if name in ends or name in levels]
+    if not heights:
+        ax.text(0.5, 0.5, "not measured", transform=ax.transAxes, ha="center", color=GREY)
+        ax.set(xticks=[], yticks=[])
+        return
+    # Bands of few seeds may be far wider than what is to be seen.
+    margin = 0.08 * (max(heights) - min(heights) or 1)
+    limits = np.array([min(heights) - margin, max(heights) + margin])
+    scale, marks = display(metric).scale, policy_marks(variants)
+    for name, found in drawn.items():
+        _draw_curve(ax, found, scale, limits, name, marks[name][0])
+    actions = {n: float(np.mean([one.actions for one in condition.policies[n]])) for n in ends}
+    for name, mean in ends.items():
+        label = None if name in drawn else f"{name}, final"
+        colour = marks[name][0]
+        ax.plot([actions[name]], [mean * scale], "D", color=colour, markersize=5, label=label)
+    if not drawn and ends:
+        # Final scores alone: at their place in the panels that have curves.
+        ax.set_xlim(0, 1.05 * max(actions.values()))
+    ax.set_ylim(*limits * scale)
+    _draw_levels(ax, {name: level * scale for name, level in levels.items()})
+
+
+def _draw_curve(
+    ax: Axes, found: LearningCurve, scale: float, limits: Floats, name: str, colour: str
+) -> None:
+    """Draw the mean, and where there are several seeds each of them and the band within limits."""
+    if len(found.seeds) > 1:
+        low = np.clip([mean.ci_low for mean in found.means], *limits) * scale
+        high = np.clip([mean.ci_high for mean in found.means], *limits) * scale
+        ax.fill_between(found.steps, low, high, color=colour, alpha=0.16, linewidth=0)
+        for values in found.seeds * scale:
+            ax.plot(found.steps, values, color=colour, linewidth=0.6, alpha=0.55)
+    ax.plot(found.steps, found.seeds.mean(axis=0) * scale, color=colour, label=name)
+
+
+def _draw_levels(ax: Axes, levels: Mapping[str, float]) -> None:
+    """Draw scores of policies that do not learn as grey levels, named at the right."""
+    for level in levels.values():
+        ax.axhline(level, color=GREY, linewidth=1, zorder=0)
+    low, high = ax.get_ylim()
+    ordered = sorted(levels, key=lambda name: levels[name])
+    heights = spaced([(levels[name] - low) / (high - low) for name in ordered], 0.075)
+    for name, height in zip(ordered, heights, strict=True):
+        text = ax.text(1.015, height, name, transform=ax.transAxes, va="center")
+        text.set(fontsize=7.5, color=GREY)
+    ax.set_ylim(low, high)
+
+
+def spaced(heights: Sequence[float], gap: float) -> list[float]:
+    """Return ascending heights moved as little as needed to lie at least `gap` apart."""
+    groups: list[list[float]] = []
+    for height in heights:
+        groups.append([height])
+        # Labels that touch share the middle of where they want to be.
+        while len(groups) > 1 and _places(groups[-1], gap)[0] - _places(groups[-2], gap)[-1] < gap:
+            last = groups.pop()
+            groups[-1] += last
+    return [place for group in groups for place in _places(group, gap)]
+
+
+def _places(group: Sequence[float], gap: float) -> list[float]:
+    bottom = sum(group) / len(group) - gap * (len(group) - 1) / 2
+    return [bottom + i * gap for i in range(len(group))]

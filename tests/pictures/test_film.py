@@ -4,7 +4,7 @@ from PIL import Image
 
 from mechsearch.camera import preset
 from mechsearch.pictures.canvas import tinted
-from mechsearch.pictures.filmstrip import (
+from mechsearch.pictures.film import (
     PATH_COLOUR,
     Film,
     FilmConfig,
@@ -34,7 +34,7 @@ def blueness(image: Image.Image) -> int:
 
 def test_more_of_the_target_is_green_at_the_end_than_at_the_start(film: Film) -> None:
     last = len(film.record.actions)
-    assert greenness(film.frame(last, path=False)) > 2 * greenness(film.frame(0)) > 0
+    assert greenness(film.frame(last, until=0)) > 2 * greenness(film.frame(0)) > 0
 
 
 def test_the_path_is_blue_at_the_start_and_absent_at_the_end(film: Film) -> None:
@@ -95,8 +95,8 @@ def test_captions_add_a_line_below(models, make_evaluation) -> None:
 def test_the_pusher_is_drawn_where_it_is_given(models, make_evaluation) -> None:
     record = make_evaluation("method", 1.0).episodes[0]
     config = FilmConfig(size=96, captions=False)
-    without = Film(record, models, config).frame(3, path=False)
-    pushed = Film(record, models, config, models["small1"]).frame(3, path=False)
+    without = Film(record, models, config).frame(3, until=0)
+    pushed = Film(record, models, config, models["small1"]).frame(3, until=0)
     assert np.asarray(without).tolist() != np.asarray(pushed).tolist()
 
 
