@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.grasp.grasp_view import view_of_heap
-from mechsearch.grasp.image_grasp import ImageGrasp
+from mechsearch.grasp.grasp_view import ImageGrasp, view_of_heap
 from mechsearch.grasp.learning.grasp_set import MANIFEST_FILE, OUTCOMES, GraspFolder, load_grasps
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, thumbnail
 from mechsearch.heaps.dataset import HeapSet

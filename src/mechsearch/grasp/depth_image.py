@@ -11,8 +11,6 @@ from mechsearch.files import ARRAY_DAMAGE, read_arrays, read_json
 from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView
 from mechsearch.types import Array, MechSearchError
 
-_LEVEL = tuple(np.eye(4).ravel().tolist())
-
 _WIDTH_PX = (23.0, 46.0)
 """Width of a 5 cm gripper at the target [px]: where the released network's scores were found
 steady; 0.8 m below the metric camera it is 34.5."""
@@ -43,8 +41,9 @@ def read_view(
         numbers = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
     else:
         numbers = _numbers(intrinsics)
-    fx, fy, cx, cy = (float(number) for number in numbers)
-    return view_of_image(image, inside, Camera(width, height, fx, fy, cx, cy, _LEVEL))
+    fx, fy, cx, cy = map(float, numbers)
+    level = tuple(np.eye(4).ravel().tolist())
+    return view_of_image(image, inside, Camera(width, height, fx, fy, cx, cy, level))
 
 
 def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from mechsearch.grasp.grasp_view import GraspView
-from mechsearch.grasp.image_grasp import ImageGrasp
+from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
 from mechsearch.pictures.canvas import captioned, tinted
 from mechsearch.types import Floats
 

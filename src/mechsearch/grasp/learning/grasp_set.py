@@ -91,18 +91,16 @@ class GraspFolder:
         if file.exists():
             found = read_record(file, _PURPOSE, ("format", "shards"))
             if {**found, "shards": {}} != self._manifest:
-                differing = [k for k, v in self._manifest.items() if found.get(k) != v]
+                known = {**self._manifest, "shards": found["shards"]}
+                differing = ", ".join(k for k, v in known.items() if found.get(k) != v)
                 raise MechSearchError(
-                    f"{path} holds grasps made from another "
-                    f"{', '.join(k for k in differing if k != 'shards')}; name another folder"
+                    f"{path} holds grasps made from another {differing}; name another folder"
                 )
             self._manifest = found
 
     def has(self, name: str) -> bool:
         """Return whether a shard is there, whole."""
-        entry = self._manifest["shards"].get(name)
-        file = self.path / name
-        return entry is not None and file.is_file() and _sha256(file) == entry["sha256"]
+        return _whole(self.path / name, self._manifest["shards"].get(name))
 
     def add(self, name: str, grasps: Grasps) -> None:
         """Write a shard and enter it into the manifest."""
@@ -123,21 +121,26 @@ def load_grasps(path: Path) -> Grasps:
     Raises:
         MechSearchError: If there are none, or a shard is missing or damaged.
     """
-    manifest = read_record(path / MANIFEST_FILE, _PURPOSE, ("format", "shards"))
+    file = path / MANIFEST_FILE
+    manifest = read_record(file, _PURPOSE, ("format", "shards"))
     if manifest["format"] != _FORMAT:
         raise MechSearchError(
-            f"{path / MANIFEST_FILE} is of labelled grasps of format {manifest['format']}; this "
-            f"version reads {_FORMAT}"
+            f"{file} is of labelled grasps of format {manifest['format']}; this version reads "
+            f"{_FORMAT}"
         )
     parts = []
     for name, entry in sorted(manifest["shards"].items()):
-        file = path / name
-        if not file.is_file() or _sha256(file) != entry["sha256"]:
-            raise MechSearchError(f"shard {file} is missing or damaged; label again to replace it")
-        parts.append(Grasps(**read_arrays(file, "shard of labelled grasps")))
+        shard = path / name
+        if not _whole(shard, entry):
+            raise MechSearchError(f"shard {shard} is missing or damaged; label again to replace it")
+        parts.append(Grasps(**read_arrays(shard, "shard of labelled grasps")))
     if not parts:
         raise MechSearchError(f"{path} holds no grasps yet")
     return Grasps.concatenated(parts)
+
+
+def _whole(path: Path, entry: Mapping[str, Any] | None) -> bool:
+    return entry is not None and path.is_file() and _sha256(path) == entry["sha256"]
 
 
 def _sha256(path: Path) -> str:

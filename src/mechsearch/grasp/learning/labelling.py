@@ -5,17 +5,18 @@ its grasps are the policy's own angles and depths on its pixels, and a share of 
 that success is not too rare to learn.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import alone
-from mechsearch.grasp.grasp_view import GraspView, view_of_heap
-from mechsearch.grasp.image_grasp import FIELD, ImageGrasp, angle_bin
+from mechsearch.grasp.grasp_view import FIELD, GraspView, ImageGrasp, angle_bin, view_of_heap
 from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps
 from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import HeapSet, check_objects, object_set
@@ -24,10 +25,13 @@ from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import MechSearchError
 
 _LEAST_VISIBLE = 16
 """Pixels of an object from which grasps are proposed on it."""
+
+_TYPES = (np.float16, np.float32, np.uint8, np.uint8, np.bool_, np.int64, np.str_)
+"""Of the arrays of `Grasps`."""
 
 
 @dataclass(frozen=True)
@@ -94,23 +98,26 @@ def label_grasps(
         heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
         identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
         folder = GraspFolder(path, identity)
-        starts = range(0, len(heaps), config.shard)
-        missing = [start for start in starts if not folder.has(_name(start, config))]
-        done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
+        shards = {
+            f"grasps-{number:05d}.npz": heaps[number * config.shard :][: config.shard]
+            for number in range(math.ceil(len(heaps) / config.shard))
+        }
+        missing = {name: part for name, part in shards.items() if not folder.has(name)}
+        tasks = list(chain.from_iterable(missing.values()))
+        done = len(heaps) - len(tasks)
         progress("labelled heaps", done, len(heaps))
-        tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
-        labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
-        for start in missing:
-            parts = []
-            for _ in heaps[start : start + config.shard]:
-                parts.append(next(labelled))
+        labelled = map_in_order(partial(_labelled, objects=objects, config=config), tasks, workers)
+        for name, part in missing.items():
+            grasps = []
+            for found in islice(labelled, len(part)):
+                grasps.append(found)
                 done += 1
                 progress("labelled heaps", done, len(heaps))
-            folder.add(_name(start, config), Grasps.concatenated(parts))
+            folder.add(name, Grasps.concatenated(grasps))
         return folder
 
 
-def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
+def _labelled(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
     """Return the labelled grasps of one heap, a pure function of its arguments."""
     known = object_set(objects).models
     models = [known[name] for name in heap.objects]
@@ -126,24 +133,14 @@ def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
             pose, friction = grasp.pose(view.camera), gripper.friction
             if config.perturbed:
                 pose, friction = perturbed(pose, rng, Perturbation())
-            outcome = world.lift(heap.poses, index, pose, friction)
-            seen = thumbnail(view, grasp)
-            number = OUTCOMES.index(outcome)
-            rows.append((seen, grasp.depth, int(angle_bin(grasp.angle)), number, geometric, index))
-    return _collected(rows, heap)
-
-
-def _collected(rows: list[tuple[Array, float, int, int, bool, int]], heap: Heap) -> Grasps:
-    seen, depth, angle, outcome, geometric, index = list(zip(*rows, strict=True)) or [()] * 6
-    return Grasps(
-        np.array(seen, np.float16).reshape(-1, FIELD, FIELD),
-        np.array(depth, np.float32),
-        np.array(angle, np.uint8),
-        np.array(outcome, np.uint8),
-        np.array(geometric, np.bool_),
-        np.full(len(rows), heap.seed, np.int64),
-        np.array([heap.objects[i] for i in index], np.str_),
-    )
+            outcome = OUTCOMES.index(world.lift(heap.poses, index, pose, friction))
+            seen, angle = thumbnail(view, grasp), int(angle_bin(grasp.angle))
+            rows.append(
+                (seen, grasp.depth, angle, outcome, geometric, heap.seed, heap.objects[index])
+            )
+    columns = list(zip(*rows, strict=True)) or [()] * len(_TYPES)
+    seen, *others = (np.array(c, kind) for c, kind in zip(columns, _TYPES, strict=True))
+    return Grasps(seen.reshape(-1, FIELD, FIELD), *others)
 
 
 def thumbnail(view: GraspView, grasp: ImageGrasp) -> NDArray[np.float16]:
@@ -160,7 +157,3 @@ def _proposed(
     found = antipodal(view, rng, wanted, gripper) if wanted else []
     yield from ((grasp, True) for grasp in found)
     yield from ((grasp, False) for grasp in uniform(view, rng, config.per_object - len(found)))
-
-
-def _name(start: int, config: LabelConfig) -> str:
-    return f"grasps-{start // config.shard:05d}.npz"
