@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from mechsearch.cli.command import WORKERS, Command, open_mapper, say, wrote
+from mechsearch.cli.command import Spread, say, wrote
 from mechsearch.experiments.carry_out import carry_out
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
@@ -16,11 +16,11 @@ from mechsearch.experiments.status import (
     status_of,
 )
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.retrieval.episodes import assessor
+from mechsearch.retrieval.assessment import assessor
 
 
 @dataclass(frozen=True)
-class Sweep(Command):
+class Sweep(Spread):
     """Carry out every experiment of the paper's section V, or go on where that was cut off.
 
     What is not said is as the folder's own plan has it, or for a new folder as in the paper.
@@ -44,9 +44,6 @@ class Sweep(Command):
         grasps: Whether final episodes are measured by graspability and retrieval too.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
         only: Names of the jobs to carry out now, such as 'single/method-seed*'; all by default.
-        workers: Jobs at a time, one process each.
-        ray: Spread the jobs by Ray instead.
-        ray_address: Of a Ray cluster that sees the folder; "auto" finds one that runs.
     """
 
     out: Path
@@ -67,9 +64,6 @@ class Sweep(Command):
     grasps: bool | None = None
     grasp_network: Path | None = None
     only: tuple[str, ...] = ()
-    workers: int = WORKERS
-    ray: bool = False
-    ray_address: str = ""
 
     def run(self) -> None:
         """Carry the plan out; exit with 1 if something of it is missing in the end."""
@@ -84,7 +78,7 @@ class Sweep(Command):
         # A network that is no good is refused before hours of work rather than after them.
         network = Path(plan.grasp_network) if plan.grasp_network else None
         grasp = assessor(network) if plan.grasps else None
-        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
+        with self.spread() as (workers, mapper):
             found = carry_out(plan, self.out, workers, mapper, grasp, _Teller(), self.only)
         say(to_text(_table(found)))
         _say_reasons(found)

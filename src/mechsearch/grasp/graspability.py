@@ -77,8 +77,8 @@ class Ratings:
         if not self.visible:
             return Graspability()
         top, apart = self.best(), self.best_apart()
-        means = (float(np.mean([grasp.quality for grasp in some])) for some in (top, apart))
-        return Graspability(*means, self.visible, best=top[0].pose(self.camera))
+        mean, spread = (float(np.mean([g.quality for g in some])) for some in (top, apart))
+        return Graspability(mean, spread, self.visible, best=top[0].pose(self.camera))
 
     def best(self, count: int = BEST) -> list[ImageGrasp]:
         """Return the best grasps, best first; of equal ones, the first in depth, angle and cell."""

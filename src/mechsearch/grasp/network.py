@@ -62,7 +62,7 @@ class GraspNetwork(nn.Module):
         x = self.pool(torch.relu(self.conv2_2(x)))
         x = torch.relu(self.fc4(torch.relu(self.fc3(x))))
         logits: Tensor = self.fc5(x)
-        return logits.unflatten(1, (ANGLES, 2))
+        return logits.reshape(-1, ANGLES, 2, *logits.shape[2:])
 
     @torch.inference_mode()
     def quality(self, image: Tensor, depths: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from mechsearch.files.tensors import (
     save_archive,
 )
 from mechsearch.grasp.grasp_view import ANGLES
-from mechsearch.grasp.learning.grasp_set import Grasps
+from mechsearch.grasp.learning.labelling import Grasps
 from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.heap import evenly_spread
