@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mechsearch.cli import COMMANDS, main
+from mechsearch.cli import COMMANDS, LEARNING_COMMANDS, main
 from mechsearch.cli.evaluation import file_name, named
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import METRICS, Evaluation
@@ -86,7 +86,7 @@ def test_without_ray_its_options_say_what_to_install(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    if COMMANDS[name].learns:
+    if name in LEARNING_COMMANDS:
         pytest.importorskip("torch")
     with pytest.raises(SystemExit) as stopped:
         main([*name.split(), "--help"])
@@ -131,7 +131,7 @@ def test_an_unknown_option_exits_with_2(capsys: pytest.CaptureFixture[str]) -> N
     assert "--colour" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", [name for name, entry in COMMANDS.items() if entry.learns])
+@pytest.mark.parametrize("name", sorted(LEARNING_COMMANDS))
 def test_learning_without_pytorch_says_what_to_install(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

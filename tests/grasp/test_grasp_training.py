@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.grasp.image_grasp import ImageGrasp, angle_bin
-from mechsearch.grasp.learning.grasp_set import OUTCOMES, Grasps
+from mechsearch.grasp.grasp_view import ImageGrasp, angle_bin
+from mechsearch.grasp.learning.labelling import OUTCOMES, Grasps
 from mechsearch.grasp.learning.metrics import judge
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,

@@ -3,10 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.grasp.grasp_view import view_of_heap
-from mechsearch.grasp.image_grasp import ImageGrasp
-from mechsearch.grasp.learning.grasp_set import MANIFEST_FILE, OUTCOMES, GraspFolder, load_grasps
-from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, thumbnail
+from mechsearch.grasp.grasp_view import ImageGrasp, view_of_heap
+from mechsearch.grasp.learning.labelling import (
+    MANIFEST_FILE,
+    OUTCOMES,
+    GraspFolder,
+    LabelConfig,
+    label_grasps,
+    load_grasps,
+    thumbnail,
+)
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.sim.lift import Outcome

@@ -6,7 +6,7 @@ import pytest
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import object_set
-from mechsearch.retrieval.episodes import GraspabilityChange, assess_evaluation
+from mechsearch.retrieval.assessment import GraspabilityChange, assess_evaluation
 
 
 def episodes(policy, limit):

@@ -11,55 +11,38 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 from mechsearch.files import REFUSALS, not_written
 from mechsearch.types import MechSearchError
 
-
-class Entry(NamedTuple):
-    """Where a command is, what it does, and whether it needs PyTorch."""
-
-    place: str
-    purpose: str
-    learns: bool = False
-
-
 COMMANDS = {
-    "assets pull": Entry("objects:Pull", "download an object set from its official site"),
-    "objects list": Entry("objects:List", "list the objects of a set, and those left out"),
-    "objects sheet": Entry("objects:Sheet", "draw every object of a set on one picture"),
-    "heaps generate": Entry("heaps:Generate", "drop objects into heaps, and keep the useful ones"),
-    "heaps show": Entry("heaps:ShowHeaps", "say what is in a heap set, and draw it"),
-    "heaps verify": Entry("heaps:VerifyHeaps", "prove that every heap rests, hidden as recorded"),
-    "train": Entry("training:Train", "train an actor, or go on with a run", learns=True),
-    "evaluate": Entry("evaluation:Evaluate", "score policies on heaps and record the episodes"),
-    "sweep": Entry("sweeping:Sweep", "every experiment of the paper, by one command", learns=True),
-    "verify": Entry("verification:Verify", "play recorded episodes again: the same bits?"),
-    "show": Entry(
-        "evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"
-    ),
-    "pack": Entry("packing:Pack", "a run's policy for others, with a card", learns=True),
-    "grasp score": Entry(
-        "grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image", True
-    ),
-    "grasp lift": Entry(
-        "grasping:LiftGrasps", "try the best grasps: can the target be lifted?", True
-    ),
-    "grasp label": Entry(
-        "grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from", True
-    ),
-    "grasp train": Entry("grasp_learning:TrainGrasps", "train a grasp network, or go on", True),
-    "grasp test": Entry(
-        "grasp_learning:TestGrasps", "judge grasp networks on labelled grasps", True
-    ),
-    "grasp calibrate": Entry(
-        "grasp_learning:CalibrateGrasps", "hold scores against lift success", True
-    ),
-    "report": Entry("reporting:Report", "write one HTML page, or the plot of a summary"),
-    "demo": Entry("demo:Demo", "the whole way: heaps, training, scores, report", learns=True),
+    "assets pull": ("objects:Pull", "download an object set from its official site"),
+    "objects list": ("objects:List", "list the objects of a set, and those left out"),
+    "objects sheet": ("objects:Sheet", "draw every object of a set on one picture"),
+    "heaps generate": ("heaps:Generate", "drop objects into heaps, and keep the useful ones"),
+    "heaps show": ("heaps:ShowHeaps", "say what is in a heap set, and draw it"),
+    "heaps verify": ("heaps:VerifyHeaps", "prove that every heap rests, hidden as recorded"),
+    "train": ("training:Train", "train an actor, or go on with a run"),
+    "evaluate": ("evaluation:Evaluate", "score policies on heaps and record the episodes"),
+    "sweep": ("sweeping:Sweep", "every experiment of the paper, by one command"),
+    "verify": ("evaluation:Verify", "play recorded episodes again: the same bits?"),
+    "show": ("evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
+    "pack": ("packing:Pack", "a run's policy for others, with a card"),
+    "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
+    "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),
+    "grasp label": ("grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from"),
+    "grasp train": ("grasp_learning:TrainGrasps", "train a grasp network, or go on"),
+    "grasp test": ("grasp_learning:TestGrasps", "judge grasp networks on labelled grasps"),
+    "grasp calibrate": ("grasp_learning:CalibrateGrasps", "hold scores against lift success"),
+    "report": ("reporting:Report", "write one HTML page, or the plot of a summary"),
+    "demo": ("demo:Demo", "the whole way: heaps, training, scores, report"),
 }
-"""Every command by its words."""
+"""Where every command is, by its words, and what it does."""
+
+LEARNING_COMMANDS = {
+    name for name in COMMANDS if name.split()[0] in ("train", "sweep", "pack", "grasp", "demo")
+}
+"""The commands that need PyTorch."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -92,7 +75,7 @@ def _dispatch(words: list[str]) -> None:
         if name in COMMANDS:
             _call(name, words[length:])
             return
-    group = {name: e for name, e in COMMANDS.items() if words and name.startswith(f"{words[0]} ")}
+    group = {name: c for name, c in COMMANDS.items() if words and name.startswith(f"{words[0]} ")}
     rest = words[1:] if group else words
     if rest in (["--version"], ["-V"]):
         print(f"mechsearch {version('mechsearch')}")
@@ -106,20 +89,19 @@ def _dispatch(words: list[str]) -> None:
 
 
 def _call(name: str, words: list[str]) -> None:
-    entry = COMMANDS[name]
-    if entry.learns and importlib.util.find_spec("torch") is None:
+    if name in LEARNING_COMMANDS and importlib.util.find_spec("torch") is None:
         raise MechSearchError(f"`mechsearch {name}` needs PyTorch: install mechsearch[learn]")
-    module, _, command = entry.place.partition(":")
+    module, _, command = COMMANDS[name][0].partition(":")
     # Users' own policies are looked for where they stand, after everything that is installed.
     sys.path.append(str(Path.cwd()))
     kind = getattr(importlib.import_module(f"mechsearch.cli.{module}"), command)
     kind.parse(f"mechsearch {name}", words).run()
 
 
-def usage(commands: Mapping[str, Entry]) -> str:
+def usage(commands: Mapping[str, tuple[str, str]]) -> str:
     """Return a list of commands, one a line."""
     width = max(map(len, commands))
-    lines = [f"  {name.ljust(width)}  {entry.purpose}" for name, entry in commands.items()]
+    lines = [f"  {name.ljust(width)}  {purpose}" for name, (_, purpose) in commands.items()]
     head = "Teach robots to uncover a known object in a heap of unknown ones."
     tail = (
         "`mechsearch COMMAND --help` tells a command's options, `mechsearch --version` the version."

@@ -1,4 +1,4 @@
-"""`mechsearch evaluate` and `mechsearch show`."""
+"""`mechsearch evaluate`, `mechsearch show` and `mechsearch verify`."""
 
 import importlib
 import importlib.util
@@ -10,28 +10,29 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, models_of, open_mapper, say, wrote
-from mechsearch.cli.graspability import retrieval_table
+from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation.episodes import (
-    METRICS,
     EpisodeRecord,
     Evaluation,
     load_episodes,
     merge_summary,
     save_episodes,
-    score,
-    score_by_count,
     summary_rows,
 )
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, file_name, in_task
-from mechsearch.files import check_place, write_whole
-from mechsearch.findings import tables
+from mechsearch.evaluation.rollout import (
+    EvaluationPlan,
+    evaluate_plan,
+    file_name,
+    in_task,
+    replay_all,
+)
+from mechsearch.files import check_place, crossed, fingerprint, write_whole
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
+from mechsearch.findings.tables import EPISODES_NOTE, evaluation_tables, to_text
 from mechsearch.pictures.film import FORMATS, Film, FilmConfig, filmstrip, start_and_end, write_film
-from mechsearch.processes import Mapper
 from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
@@ -39,12 +40,12 @@ _TaskOptions: Any = optional(TaskConfig)
 
 _NOTE = (
     "Means over heaps with 95 % confidence intervals (Student's t; Wilson's for the share "
-    f"uncovered). {tables.EPISODES_NOTE}"
+    f"uncovered). {EPISODES_NOTE}"
 )
 
 
 @dataclass(frozen=True)
-class Evaluate(Command):
+class Evaluate(OfObjects, Spread):
     """Score policies on a heap set and record every episode.
 
     Each policy acts in the task of the run that it comes from, or else in the default one through
@@ -59,14 +60,10 @@ class Evaluate(Command):
             ones but for the policy dual.
         out: Folder for the recorded episodes, one file for each policy.
         name: Under which a single policy is reported; by default that of its run, or its own text.
-        objects: Object set; the one that the heaps name by default.
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly; 0 takes all.
         seed: Of the policies' own randomness; all start alike.
         task: What is changed of the task.
-        workers: Processes; the scores do not depend on their number.
-        ray: Spread the work by Ray instead.
-        ray_address: Of a Ray cluster, all of whose processors work; "auto" finds one that runs.
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
         brief: Print the main scores alone.
@@ -81,16 +78,12 @@ class Evaluate(Command):
     heaps: Path | None = None
     out: Path = Path("evaluations")
     name: str = ""
-    objects: str = ""
     split: str = "held-out"
     limit: int = 0
     seed: int = 0
     task: Annotated[Any, tyro.conf.arg(constructor=_TaskOptions, name="")] = field(
         default_factory=_TaskOptions
     )
-    workers: int = WORKERS
-    ray: bool = False
-    ray_address: str = ""
     summary: Path | None = None
     experiment: str = "main"
     brief: bool = False
@@ -109,13 +102,19 @@ class Evaluate(Command):
             check_place(self.summary)
         grasping = self._grasping()
         evaluations = []
-        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
+        with self.spread() as (workers, mapper):
             for plan in plans:
-                evaluation = record(plan, self.out, workers, mapper)
+                with bars() as progress:
+                    evaluation = evaluate_plan(plan, workers, progress, mapper)
+                if evaluation.header["task_differs"]:
+                    differing = ", ".join(evaluation.header["task_differs"])
+                    say(f"{plan.title}, in another task: {differing}")
+                file = self.out / f"{file_name(evaluation)}.npz"
+                save_episodes(file, evaluation)
                 if grasping:
                     with bars() as progress:
                         evaluation = grasping(evaluation, progress=progress)
-                    write(evaluation, self.out)
+                    save_episodes(file, evaluation)
                 evaluations.append(evaluation)
                 if self.summary:
                     merge_summary(self.summary, summary_rows(self.experiment, evaluation))
@@ -135,19 +134,12 @@ class Evaluate(Command):
             return None
         if importlib.util.find_spec("torch") is None:
             raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
-        assessor = importlib.import_module("mechsearch.retrieval.episodes").assessor
+        assessor = importlib.import_module("mechsearch.retrieval.assessment").assessor
         return assessor(self.grasp_network, self.objects, self.workers)
 
     def _print(self, evaluations: dict[str, Evaluation]) -> None:
-        scores = {name: score(evaluation.episodes) for name, evaluation in evaluations.items()}
-        shown = [tables.score_table(scores)]
-        if self.grasps or self.grasp_network:
-            shown.append(retrieval_table(evaluations))
-        if not self.brief:
-            shown.append(tables.terms_table(scores))
-            by_count = {name: score_by_count(e.episodes) for name, e in evaluations.items()}
-            shown += [tables.count_table(by_count, metric) for metric in METRICS]
-        say("\n".join(map(tables.to_text, shown)))
+        recorded = {name: evaluation.episodes for name, evaluation in evaluations.items()}
+        say("\n".join(map(to_text, evaluation_tables(recorded, self.brief))))
         for name, evaluation in evaluations.items():
             for lost in evaluation.header.get("quarantined", ()):
                 say(f"{name}: heap {lost['heap']} is left out, it failed twice: {lost['reason']}")
@@ -159,7 +151,7 @@ class Evaluate(Command):
 
 
 @dataclass(frozen=True)
-class ShowEpisode(Command):
+class ShowEpisode(OfObjects):
     """Draw a recorded episode: target green, path of the end effector blue.
 
     Attributes:
@@ -170,7 +162,6 @@ class ShowEpisode(Command):
         camera: "overhead" or "tilted".
         size: Side of each frame [px].
         rate: Actions a second in a film.
-        objects: Object set; the one that the file names by default.
     """
 
     episodes: Annotated[Path, tyro.conf.Positional]
@@ -180,7 +171,6 @@ class ShowEpisode(Command):
     camera: str = "overhead"
     size: int = 360
     rate: float = 6.0
-    objects: str = ""
 
     def run(self) -> None:
         """Draw and write the episode."""
@@ -219,19 +209,36 @@ class ShowEpisode(Command):
         return found[0]
 
 
-def record(plan: EvaluationPlan, folder: Path, workers: int, mapper: Mapper) -> Evaluation:
-    """Carry out a plan with a progress bar, and write its episodes into a folder."""
-    with bars() as progress:
-        evaluation = evaluate_plan(plan, workers, progress, mapper)
-    if evaluation.header["task_differs"]:
-        say(f"{plan.title}, in another task: {', '.join(evaluation.header['task_differs'])}")
-    write(evaluation, folder)
-    return evaluation
+@dataclass(frozen=True)
+class Verify(OfEpisodes):
+    """Play recorded episodes again, and prove that poses, occlusions and rewards are the same bits.
 
+    Attributes:
+        heaps: Heap set (.parquet) that they ran on.
+    """
 
-def write(evaluation: Evaluation, folder: Path) -> None:
-    """Write the episodes of an evaluation into a folder."""
-    save_episodes(folder / f"{file_name(evaluation)}.npz", evaluation)
+    heaps: Path
+
+    def run(self) -> None:
+        """Verify; exit with 1 if an episode differs."""
+        if not self.episodes:
+            raise MechSearchError("no file of episodes named; expected at least one")
+        passed = [self._verify(path, evaluation) for path, evaluation in self.recorded()]
+        if not all(passed):
+            raise SystemExit(1)
+
+    def _verify(self, path: Path, evaluation: Evaluation) -> bool:
+        with bars() as progress:
+            found = list(replay_all(evaluation, self.heaps, self.objects, self.workers, progress))
+        for replay in found:
+            if not replay.passed:
+                say(f"{path}: heap {replay.heap_seed}: {'; '.join(replay.differences)}")
+        number, same = len(found), sum(replay.passed for replay in found)
+        say(f"{path}: {same} of {number} episodes are as recorded, bit by bit")
+        others = crossed(evaluation.header.get("fingerprint", {}), fingerprint())
+        if others:
+            say(f"here it is {', '.join(others)}: bits may differ by rounding")
+        return same == number
 
 
 def named(evaluations: Iterable[Evaluation]) -> dict[str, Evaluation]:

@@ -1,19 +1,27 @@
 """`mechsearch grasp label`, `train`, `test` and `calibrate`; all need PyTorch."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, bars, models_of, say, wrote
-from mechsearch.evaluation.rollout import load_some
+from mechsearch.cli.command import (
+    FLAT,
+    Command,
+    OfEpisodes,
+    OfObjects,
+    Parallel,
+    bars,
+    say,
+    say_table,
+    wrote,
+)
 from mechsearch.files import write_json, write_text
-from mechsearch.findings.tables import Table, to_text
-from mechsearch.grasp.learning.grasp_set import load_grasps
-from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps
+from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,
     GraspTrainConfig,
@@ -22,11 +30,12 @@ from mechsearch.grasp.learning.training import (
 )
 from mechsearch.heaps.dataset import load_heaps
 from mechsearch.report.figures import draw_reliability, to_svg
-from mechsearch.retrieval.calibration import Calibration, calibrate_network
+from mechsearch.retrieval.calibration import calibrate_network
+from mechsearch.types import Floats
 
 
 @dataclass(frozen=True)
-class LabelGrasps(Command):
+class LabelGrasps(OfObjects, Parallel):
     """Try grasps on every visible object of every heap, and record what became of them.
 
     No network proposes them. A folder that was cut off is continued.
@@ -35,15 +44,11 @@ class LabelGrasps(Command):
         heaps: Heap set (.parquet).
         out: Folder for the labelled grasps.
         config: What to label.
-        objects: Object set; the one that the heaps name by default.
-        workers: Processes; the grasps do not depend on their number.
     """
 
     heaps: Path
     out: Path
-    config: Annotated[LabelConfig, tyro.conf.arg(name="")] = field(default_factory=LabelConfig)
-    objects: str = ""
-    workers: int = WORKERS
+    config: Annotated[LabelConfig, FLAT] = field(default_factory=LabelConfig)
 
     def run(self) -> None:
         """Label, and say what became of the grasps."""
@@ -69,9 +74,7 @@ class TrainGrasps(Command):
 
     labels: Path
     out: Path
-    config: Annotated[GraspTrainConfig, tyro.conf.arg(name="")] = field(
-        default_factory=GraspTrainConfig
-    )
+    config: Annotated[GraspTrainConfig, FLAT] = field(default_factory=GraspTrainConfig)
 
     def run(self) -> None:
         """Train, and say how good the best epoch is."""
@@ -88,51 +91,63 @@ class TrainGrasps(Command):
         wrote(self.out / NETWORK_FILE)
 
 
+@dataclass(frozen=True, kw_only=True)
+class JudgingCommand(Command):
+    """A command that holds qualities against outcomes.
+
+    Attributes:
+        out: File (.json) to write.
+        plot: Reliability diagram (.svg) to write.
+    """
+
+    out: Path | None = None
+    plot: Path | None = None
+
+    def write(self, found: Mapping[str, Any], curves: Mapping[str, Floats]) -> None:
+        """Write what was found, and draw curves (b, 3), where it was asked for."""
+        if self.out:
+            write_json(self.out, found)
+            wrote(self.out)
+        if self.plot:
+            write_text(self.plot, to_svg(draw_reliability(curves)))
+            wrote(self.plot)
+
+
 @dataclass(frozen=True)
-class TestGrasps(Command):
+class TestGrasps(JudgingCommand):
     """Judge grasp networks on labelled grasps that they have not learnt from.
 
     Attributes:
         networks: Grasp networks (.safetensors, or the released weights .npz) beside the shipped
             one.
         labels: Folder that `mechsearch grasp label` wrote, such as one of held-out heaps.
-        out: File (.json) to write.
-        plot: Reliability diagram (.svg) to write.
     """
 
     labels: Path
     networks: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NETWORK ...]")
     ] = ()
-    out: Path | None = None
-    plot: Path | None = None
 
     def run(self) -> None:
         """Print a table of scores, and by how much the first network is above each other one."""
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
         found = compare_networks(grasps, named)
-        caption = f"{len(grasps)} grasps in {found.heaps} heaps, base rate "
+        rate = f"base rate {grasps.success.mean():.3f}"
         columns = ("network", "AP", "AUC", "Brier", "calibration error")
         numbers = attrgetter("average_precision", "auc", "brier", "calibration_error")
-        rows = tuple((k, *(f"{n:.3f}" for n in numbers(v))) for k, v in found.networks.items())
-        say(to_text(Table(f"{caption}{grasps.success.mean():.3f}", columns, rows)))
+        rows = [(k, *map("{:.3f}".format, numbers(v))) for k, v in found.networks.items()]
+        say_table(f"{len(grasps)} grasps in {found.heaps} heaps, {rate}", columns, rows)
         for name, gain in found.gain_over.items():
             say(
                 f"AP of the shipped network above that of {name}: {gain.mean:+.3f} "
                 f"(95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
             )
-        if self.out:
-            write_json(self.out, asdict(found))
-            wrote(self.out)
-        if self.plot:
-            curves = {name: np.array(verdict.curve) for name, verdict in found.networks.items()}
-            write_text(self.plot, to_svg(draw_reliability(curves)))
-            wrote(self.plot)
+        self.write(asdict(found), {k: np.array(v.curve) for k, v in found.networks.items()})
 
 
 @dataclass(frozen=True)
-class CalibrateGrasps(Command):
+class CalibrateGrasps(JudgingCommand, OfEpisodes):
     """Hold a network's scores against lift success, on heaps before and after pushing.
 
     On the first and last state of every recorded episode the best grasps on the target, and as many
@@ -140,60 +155,36 @@ class CalibrateGrasps(Command):
     on every second heap and tested on the others.
 
     Attributes:
-        episodes: Files that `mechsearch evaluate` wrote (.npz).
         network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
             take instead of the shipped one.
-        out: File (.json) to write.
-        plot: Reliability diagram (.svg) to write.
-        limit: Number of episodes of each file, spread evenly; 0 takes all.
         grasps: Best grasps to try on each state, and as many at random.
         repeats: Perturbed executions of each grasp.
-        objects: Object set; the one that the files name by default.
-        workers: Processes; the result does not depend on their number.
     """
 
-    episodes: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="EPISODES [EPISODES ...]")
-    ]
     network: Path | None = None
-    out: Path | None = None
-    plot: Path | None = None
-    limit: int = 0
     grasps: int = 10
     repeats: int = 5
-    objects: str = ""
-    workers: int = WORKERS
 
     def run(self) -> None:
         """Try, fit, test and print."""
-        states = []
-        for path in self.episodes:
-            evaluation = load_some(path, self.limit)
-            models_of(evaluation, self.objects)
-            spec = self.objects or str(evaluation.header["object_set"])
-            states += [(spec, record) for record in evaluation.episodes]
+        states = [
+            (self.objects or str(evaluation.header["object_set"]), record)
+            for _, evaluation in self.recorded()
+            for record in evaluation.episodes
+        ]
         with bars() as progress:
             found = calibrate_network(
                 self.network, states, self.grasps, self.repeats, self.workers, progress
             )
-        say(_described(found, 2 * len(states)))
-        if self.out:
-            write_json(self.out, found.to_json())
-            wrote(self.out)
-        if self.plot:
-            curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
-            write_text(self.plot, to_svg(draw_reliability(curves)))
-            wrote(self.plot)
-
-
-def _described(found: Calibration, states: int) -> str:
-    rows = tuple((f"{q:.2f}", f"{share:.2f}", f"{n:.0f}") for q, share, n in found.curve)
-    curve = to_text(Table("On the test half", ("fitted chance", "succeed", "executions"), rows))
-    return (
-        f"{curve}\nfitted chance of success: logistic, {found.slope:.2f} logit(quality) "
-        f"{found.offset:+.2f}; one half from a quality of {found.threshold:.2f}\n"
-        f"Brier score on {found.executions} executions of the test half: {found.brier:.3f} as "
-        f"rated, {found.brier_fitted:.3f} as fitted\n"
-        f"Spearman correlation with lift success: quality {found.rank_correlation:.2f}, "
-        f"graspability over {states} states {found.score_correlation:.2f}"
-    )
+        rows = [(f"{q:.2f}", f"{share:.2f}", f"{n:.0f}") for q, share, n in found.curve]
+        say_table("On the test half", ("fitted chance", "succeed", "executions"), rows)
+        say(
+            f"fitted chance of success: logistic, {found.slope:.2f} logit(quality) "
+            f"{found.offset:+.2f}; one half from a quality of {found.threshold:.2f}\n"
+            f"Brier score on {found.executions} executions of the test half: {found.brier:.3f} as "
+            f"rated, {found.brier_fitted:.3f} as fitted\n"
+            f"Spearman correlation with lift success: quality {found.rank_correlation:.2f}, "
+            f"graspability over {2 * len(states)} states {found.score_correlation:.2f}"
+        )
+        curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
+        self.write(found.to_json(), curves)

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mechsearch.cli.command import WORKERS, Command, bars, say, wrote
-from mechsearch.files import write_whole
-from mechsearch.findings.tables import Table, to_text
+from mechsearch.cli.command import OfObjects, Parallel, bars, save, say, say_table
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.grasp_view import check_opening, view_of_heap
 from mechsearch.grasp.graspability import rate
@@ -28,31 +26,26 @@ from mechsearch.types import MechSearchError
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspTargets(Command):
+class GraspTargets(OfObjects):
     """Whose grasps a command is about.
 
     Attributes:
         network: Grasp network (.safetensors), or the released FC-GQCNN-4.0-PJ weights (.npz), to
             take instead of the shipped one.
-        objects: Object set; the one that the heaps name by default.
         split: "held-out", "train" or "all" heaps.
         limit: Number of heaps, spread evenly; 0 takes all.
         opening: Of the gripper [m], 0.05 to 0.06.
     """
 
     network: Path | None = None
-    objects: str = ""
     split: str = "held-out"
     limit: int = 0
     opening: float = 0.056
 
     def tasks(self, path: Path) -> tuple[list[Heap], list[GraspTask]]:
         """Return the heaps, and for each the task to try the best grasp on its target."""
-        check_opening(self.opening)
-        shared_network(self.network)
-        return tasks_of_heaps(
-            path, self.objects, self.split, self.limit, self.network, self.opening
-        )
+        options = (self.objects, self.split, self.limit, self.network, self.opening)
+        return tasks_of_heaps(path, *options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,23 +77,19 @@ class ScoreGrasps(GraspTargets):
         else:
             raise MechSearchError("name either --heaps, or --depth with --mask and --intrinsics")
         if self.out:
-            write_whole(self.out, tiled(pictures, 4, margin=3).save)
-            wrote(self.out)
+            save(self.out, tiled(pictures, 4, margin=3).save)
 
     def _score_heaps(self, path: Path) -> list[Image.Image]:
         heaps, tasks = self.tasks(path)
         tasks = [replace(task, best=0, alone=True) for task in tasks]
         with bars() as progress:
             found = assess_all(tasks, progress=progress)
-        rows = tuple(
-            (
-                *_target(task), f"{heap.occlusion:.0%}", f"{a.now.score:.3f}",
-                f"{a.now.diverse:.3f}", f"{a.alone.score:.3f}" if a.alone else "",
-            )
-            for heap, task, a in zip(heaps, tasks, found, strict=True)
-        )  # fmt: skip
         columns = ("target", "objects", "occlusion", "graspability", "ten apart", "ceiling")
-        say(to_text(Table("Graspability of each target", columns, rows)))
+        rows = []
+        for heap, task, a in zip(heaps, tasks, found, strict=True):
+            scores = (a.now.score, a.now.diverse, a.alone.score if a.alone else np.nan)
+            rows.append((*_target(task), f"{heap.occlusion:.0%}", *map("{:.3f}".format, scores)))
+        say_table("Graspability of each target", columns, rows)
         means = summarise(found)
         say(
             f"mean graspability {means.graspability:.3f} over {len(heaps)} heaps ({means.hidden} "
@@ -115,21 +104,18 @@ class ScoreGrasps(GraspTargets):
         mean, apart = ratings.graspability.score, ratings.best_apart()
         count = len(ratings.best())
         say(f"graspability {mean:.3f}, the mean quality of the {count} best grasps")
-        rows = tuple(
-            (
-                f"{g.column:.0f}", f"{g.row:.0f}", f"{g.depth:.3f}",
-                f"{np.rad2deg(g.angle):.0f}", f"{g.quality:.3f}",
-                " ".join(f"{value:+.3f}" for value in g.pose(view.camera)[:3]),
-            )
-            for g in apart
-        )  # fmt: skip
         columns = ("column", "row", "depth [m]", "angle [deg]", "quality", "x y z [m]")
-        say(to_text(Table("Best grasps that differ, in the camera's frame", columns, rows)))
+        rows = []
+        for g in apart:
+            place = " ".join(map("{:+.3f}".format, g.pose(view.camera)[:3]))
+            image = (f"{g.column:.0f}", f"{g.row:.0f}", f"{g.depth:.3f}")
+            rows.append((*image, f"{np.rad2deg(g.angle):.0f}", f"{g.quality:.3f}", place))
+        say_table("Best grasps that differ, in the camera's frame", columns, rows)
         return draw_grasps(view, apart, f"graspability {mean:.2f}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiftGrasps(GraspTargets):
+class LiftGrasps(GraspTargets, Parallel):
     """Lift each target with the grasp that a network finds best, in simulation.
 
     Attributes:
@@ -137,32 +123,31 @@ class LiftGrasps(GraspTargets):
         out: Picture (.png) to write: a strip of frames for each heap.
         repeats: Perturbed executions of each grasp.
         seed: Of the perturbations.
-        workers: Processes; the outcomes do not depend on their number.
     """
 
     heaps: Path
     out: Path | None = None
     repeats: int = 5
     seed: int = 0
-    workers: int = WORKERS
 
     def run(self) -> None:
         """Plan, lift, print outcomes and draw."""
         if self.repeats < 0:
             raise MechSearchError(f"{self.repeats} repeats; expected 0 or more")
         _, tasks = self.tasks(self.heaps)
-        tasks = [replace(task, repeats=self.repeats, seed=self._seed(task)) for task in tasks]
+        seeds = [np.random.SeedSequence([self.seed, task.heap_seed]) for task in tasks]
+        tasks = [
+            replace(task, repeats=self.repeats, seed=int(seed.generate_state(1)[0]))
+            for task, seed in zip(tasks, seeds, strict=True)
+        ]
         with bars() as progress:
             found = assess_all(tasks, self.workers, progress)
-        rows = tuple(
-            (
-                *_target(task), f"{a.now.score:.2f}", str(a.retrieved or "not visible"),
-                f"{a.lifts[0].probability if a.lifts else 0:.0%}",
-            )
-            for task, a in zip(tasks, found, strict=True)
-        )  # fmt: skip
         columns = ("target", "objects", "graspability", "as planned", "perturbed")
-        say(to_text(Table("The best grasp on each target, executed", columns, rows)))
+        rows = []
+        for task, a in zip(tasks, found, strict=True):
+            planned, share = a.retrieved or "not visible", a.lifts[0].probability if a.lifts else 0
+            rows.append((*_target(task), f"{a.now.score:.2f}", planned, f"{share:.0%}"))
+        say_table("The best grasp on each target, executed", columns, rows)
         means = summarise(found)
         say(", ".join(f"{name} {count}" for name, count in means.outcomes.items()))
         say(
@@ -173,11 +158,7 @@ class LiftGrasps(GraspTargets):
             strips = [_strip(task, a) for task, a in zip(tasks, found, strict=True) if a.lifts]
             if not strips:
                 raise MechSearchError("no target is visible in these heaps: there is no film")
-            write_whole(self.out, tiled(strips, 1, gap=0).save)
-            wrote(self.out)
-
-    def _seed(self, task: GraspTask) -> int:
-        return int(np.random.SeedSequence([self.seed, task.heap_seed]).generate_state(1)[0])
+            save(self.out, tiled(strips, 1, gap=0).save)
 
 
 def _picture(task: GraspTask, found: GraspAssessment) -> Image.Image:

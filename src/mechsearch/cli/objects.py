@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import Command, bars, say, wrote
-from mechsearch.files import write_whole
-from mechsearch.findings.tables import Table, to_text
+from mechsearch.cli.command import Command, bars, save, say, say_table
 from mechsearch.objects.catalog import load_object_set, ycb_folder
 from mechsearch.objects.model import ObjectModel
 from mechsearch.objects.ycb.download import OFFICIAL, pull_ycb
@@ -56,15 +54,14 @@ class List(Command):
     def run(self) -> None:
         """Print the table."""
         found = load_object_set(self.objects)
-        rows = tuple(_row(model) for model in found.models.values())
         columns = ("object", "category", "size [cm]", "mass [g]", "parts", "hull error [mm]")
-        say(to_text(Table(f"{found.name}: {len(rows)} objects", columns, rows)))
+        caption = f"{found.name}: {len(found.models)} objects"
+        say_table(caption, columns, map(_row, found.models.values()))
         flagged = [name for name, model in found.models.items() if model.flagged]
         if flagged:
             say(f"! more than 5 mm between mesh and convex parts: {', '.join(flagged)}\n")
         if found.excluded:
-            reasons = tuple(found.excluded.items())
-            say(to_text(Table("left out", ("object", "reason"), reasons)))
+            say_table("left out", ("object", "reason"), found.excluded.items())
 
 
 @dataclass(frozen=True)
@@ -85,14 +82,12 @@ class Sheet(Command):
 
     def run(self) -> None:
         """Draw and write the picture."""
-        picture = object_sheet(load_object_set(self.objects).models, self.columns, self.size)
-        write_whole(self.out, picture.save)
-        wrote(self.out)
+        models = load_object_set(self.objects).models
+        save(self.out, object_sheet(models, self.columns, self.size).save)
 
 
 def _row(model: ObjectModel) -> tuple[str, ...]:
     size = " x ".join(f"{side * 100:.1f}" for side in np.ptp(model.vertices, axis=0))
-    mark = " !" if model.flagged else ""
-    error = f"{model.hull_error * 1000:.1f}{mark}"
+    error = f"{model.hull_error * 1000:.1f}{' !' if model.flagged else ''}"
     parts, mass = str(len(model.parts)), f"{model.mass * 1000:.0f}"
     return model.name, model.category, size, mass, parts, error

@@ -43,8 +43,7 @@ class Pack(Command):
             raise MechSearchError(f"weights are written to a .safetensors file, not {self.out}")
         check_place(self.out)
         policy = load_policy(self.run_directory)
-        evaluation = load_episodes(self.scores)
-        card = self._card(evaluation, policy.training_actions)
+        card = self._card(load_episodes(self.scores), policy.training_actions)
         save_policy(policy, self.out)
         weights = hashlib.sha256(self.out.read_bytes()).hexdigest()
         write_json(self.out.with_suffix(".json"), {"sha256": weights, **card})
@@ -54,24 +53,23 @@ class Pack(Command):
         config = read_record(self.run_directory / CONFIG_FILE, "training configuration")
         inputs = read_record(self.run_directory / INPUTS_FILE, "record of a run's inputs")
         header = evaluation.header
-        told = {
-            "name": config["name"],
-            "training_seed": config["seed"],
-            "training_actions": actions,
-        }
-        wrong = [name for name, value in told.items() if header[name] != value]
-        if wrong:
-            raise MechSearchError(
-                f"{self.scores} are of another policy than {self.run_directory}: {wrong[0]} is "
-                f"{header[wrong[0]]!r}, not {told[wrong[0]]!r}"
-            )
+        told = (("name", config["name"]), ("training_seed", config["seed"]))
+        for name, value in (*told, ("training_actions", actions)):
+            if header[name] != value:
+                raise MechSearchError(
+                    f"{self.scores} are of another policy than {self.run_directory}: {name} is "
+                    f"{header[name]!r}, not {value!r}"
+                )
+        metrics = self.run_directory / METRICS_FILE
+        lines = read_lines(metrics) if metrics.exists() else ()
+        simulated = max((int(line.get("simulated", 0)) for line in lines), default=0)
         return {
             "version": version("mechsearch"),
             "variant": config["name"],
             "seed": config["seed"],
             "trained_on": {"heap_set": inputs["heap_set"], "condition": header["condition"]},
             "executed_actions": actions,
-            "simulated_actions": _simulated(self.run_directory),
+            "simulated_actions": simulated,
             "config": config,
             "scored_on": {name: header[name] for name in ("heap_set", "split", "heaps", "seed")},
             "scores": {
@@ -79,9 +77,3 @@ class Pack(Command):
                 for row in summary_rows("card", evaluation)
             },
         }
-
-
-def _simulated(run: Path) -> int:
-    """Return how many actions a run tried beside those that it executed."""
-    lines = list(read_lines(run / METRICS_FILE))
-    return max((int(line.get("simulated", 0)) for line in lines), default=0)

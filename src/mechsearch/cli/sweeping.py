@@ -7,20 +7,20 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import WORKERS, Command, open_mapper, say, wrote
+from mechsearch.cli.command import Spread, say, wrote
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.journal import DONE, STATES, SweepStatus, status_of
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
 from mechsearch.experiments.sweep import carry_out
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.retrieval.episodes import assessor
+from mechsearch.retrieval.assessment import assessor
 
 _PlanOptions: Any = optional(SweepPlan, ("task",))
 
 
 @dataclass(frozen=True)
-class Sweep(Command):
+class Sweep(Spread):
     """Carry out every experiment of the paper's section V, or go on where that was cut off.
 
     What is not said is as the folder's own plan has it, or for a new folder as in the paper.
@@ -32,9 +32,6 @@ class Sweep(Command):
         plan: What is carried out.
         only: Names of the jobs to carry out now, such as 'single/method-seed*'; all by default.
             What they name is made again if its actor or episodes were removed.
-        workers: Jobs at a time, one process each.
-        ray: Spread the jobs by Ray instead.
-        ray_address: Of a Ray cluster that sees the folder; "auto" finds one that runs.
     """
 
     out: Path
@@ -44,9 +41,6 @@ class Sweep(Command):
         default_factory=_PlanOptions
     )
     only: tuple[str, ...] = ()
-    workers: int = WORKERS
-    ray: bool = False
-    ray_address: str = ""
 
     def run(self) -> None:
         """Carry the plan out; exit with 1 if something of it is missing in the end."""
@@ -61,7 +55,7 @@ class Sweep(Command):
         # A network that is no good is refused before hours of work rather than after them.
         network = Path(plan.grasp_network) if plan.grasp_network else None
         grasp = assessor(network) if plan.grasps else None
-        with open_mapper(self.workers, self.ray, self.ray_address) as (workers, mapper):
+        with self.spread() as (workers, mapper):
             found = carry_out(plan, self.out, workers, mapper, grasp, _Teller(), self.only)
         _report(found)
         wrote(folder.summary)

@@ -1,14 +1,14 @@
 """`mechsearch train`; needs PyTorch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, Self
 
 import tyro
 
 from mechsearch.algorithm import A, RunConfig, Schedule
-from mechsearch.cli.command import Command, bars, say, wrote
+from mechsearch.cli.command import FLAT, Command, bars, say, wrote
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation.episodes import METRICS
 from mechsearch.files import CONFIG_FILE
@@ -16,8 +16,6 @@ from mechsearch.training.algorithms import ALGORITHMS
 from mechsearch.training.config import PRESETS, load_config, run_config
 from mechsearch.training.run import RunInputs, crossings, train
 from mechsearch.types import MechSearchError
-
-_Flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True)
@@ -40,9 +38,9 @@ class Train(Command, Generic[A]):
     out: Path
     name: str
     seed: int
-    schedule: Annotated[Schedule, _Flat]
-    task: Annotated[TaskConfig, _Flat]
-    algorithm: Annotated[A, _Flat]
+    schedule: Annotated[Schedule, FLAT]
+    task: Annotated[TaskConfig, FLAT]
+    algorithm: Annotated[A, FLAT]
     objects: str = ""
     resume: tyro.conf.Suppress[bool] = False
 
@@ -57,8 +55,7 @@ class Train(Command, Generic[A]):
                 raise MechSearchError("--resume needs a run directory, such as runs/method")
             folder = Path(words[1])
             config, inputs = load_config(folder / CONFIG_FILE), RunInputs.of_run(folder)
-            default = cls._of(config, inputs.heaps, folder)
-            default = replace(default, objects=inputs.objects, resume=True)
+            default = cls._of(config, inputs.heaps, folder, inputs.objects, True)
             return cls._parsed(default, program, words[2:])
         config = run_config(words[0])
         if "--resume" in words:
@@ -70,9 +67,8 @@ class Train(Command, Generic[A]):
         return cls._parsed(default, f"{program} {words[0]}", words[1:])
 
     @classmethod
-    def _of(cls, config: RunConfig[Any], heaps: Any, out: Any) -> Self:
-        c = config
-        return cls(heaps, out, c.name, c.seed, c.schedule, c.task, c.algorithm)
+    def _of(cls, c: RunConfig[Any], heaps: Any, out: Any, *others: Any) -> Self:
+        return cls(heaps, out, c.name, c.seed, c.schedule, c.task, c.algorithm, *others)
 
     @classmethod
     def _parsed(cls, default: Self, program: str, words: Sequence[str]) -> Self:
@@ -97,13 +93,10 @@ class Train(Command, Generic[A]):
 
 
 def _usage(program: str) -> str:
-    return "\n".join(
-        [
-            f"usage: {program} VARIANT --heaps FILE --out FOLDER [OPTIONS]",
-            f"       {program} --resume FOLDER [--actions INT]",
-            "",
-            f"Variants: {', '.join(PRESETS)}; algorithms by themselves: {', '.join(ALGORITHMS)};",
-            "or package.module:factory, an algorithm of your own.",
-            f"`{program} VARIANT --help` tells every option with the variant's own default.",
-        ]
-    )
+    return f"""\
+usage: {program} VARIANT --heaps FILE --out FOLDER [OPTIONS]
+       {program} --resume FOLDER [--actions INT]
+
+Variants: {", ".join(PRESETS)}; algorithms by themselves: {", ".join(ALGORITHMS)};
+or package.module:factory, an algorithm of your own.
+`{program} VARIANT --help` tells every option with the variant's own default."""

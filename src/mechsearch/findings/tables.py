@@ -5,7 +5,14 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from mechsearch.evaluation.episodes import GRASP_METRICS, METRICS, Estimate
+from mechsearch.evaluation.episodes import (
+    GRASP_METRICS,
+    METRICS,
+    EpisodeRecord,
+    Estimate,
+    score,
+    score_by_count,
+)
 
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"
@@ -158,6 +165,46 @@ def count_table(scores: Mapping[str, Mapping[int, Scores]], metric: str, where: 
     ]
     columns = ("policy", *(f"{count} objects" for count in counts))
     return Table(f"{display(metric).label}{where}, by number of objects", columns, tuple(rows))
+
+
+def evaluation_tables(
+    recorded: Mapping[str, Sequence[EpisodeRecord]], brief: bool = False
+) -> list[Table]:
+    """Return what is said of policies when they were evaluated, by their names.
+
+    Args:
+        recorded: Episodes of each, with or without grasps.
+        brief: Whether to leave out reward terms and scores by number of objects.
+    """
+    scores = {name: score(records) for name, records in recorded.items()}
+    shown = [score_table(scores)]
+    if all(record.grasp for records in recorded.values() for record in records):
+        shown.append(_grasp_table(recorded, scores))
+    if not brief:
+        by_count = {name: score_by_count(records) for name, records in recorded.items()}
+        shown.append(terms_table(scores))
+        shown += [count_table(by_count, metric) for metric in METRICS]
+    return shown
+
+
+def _grasp_table(
+    recorded: Mapping[str, Sequence[EpisodeRecord]], scores: Mapping[str, Scores]
+) -> Table:
+    """Return policies in rows, and what grasps are worth before and after in columns."""
+    columns = (
+        "policy", "graspability before", "after", "change", "clutter removed",
+        "retrieved before [%]", "after [%]",
+    )  # fmt: skip
+    rows = []
+    for name, found in scores.items():
+        grasps = [record.grasp for record in recorded[name] if record.grasp]
+        means = np.mean([(g.before, g.after, g.alone) for g in grasps], axis=0)
+        before, after, alone = (f"{mean:.2f}" for mean in means)
+        change = cell("graspability_change", found["graspability_change"], signed=True)
+        metrics = ("retrieval_before", "retrieval_after")
+        retrieved = [cell(metric, found[metric]) for metric in metrics]
+        rows.append((name, before, after, change, alone, *retrieved))
+    return Table("Graspability and retrieval of the target", columns, tuple(rows))
 
 
 def to_text(table: Table) -> str:

@@ -11,8 +11,6 @@ from mechsearch.files import ARRAY_DAMAGE, read_arrays, read_json
 from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView
 from mechsearch.types import Array, MechSearchError
 
-_LEVEL = tuple(np.eye(4).ravel().tolist())
-
 _WIDTH_PX = (23.0, 46.0)
 """Width of a 5 cm gripper at the target [px]: where the released network's scores were found
 steady; 0.8 m below the metric camera it is 34.5."""
@@ -40,11 +38,12 @@ def read_view(
         k = np.asarray(_array(_within(depth, "intrinsics"), "K"), np.float64)
         if k.shape != (3, 3):
             raise MechSearchError(f"K in {depth} has shape {k.shape}; expected (3, 3)")
-        numbers = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
+        numbers = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     else:
         numbers = _numbers(intrinsics)
-    fx, fy, cx, cy = (float(number) for number in numbers)
-    return view_of_image(image, inside, Camera(width, height, fx, fy, cx, cy, _LEVEL))
+    fx, fy, cx, cy = map(float, numbers)
+    level = tuple(np.eye(4).ravel().tolist())
+    return view_of_image(image, inside, Camera(width, height, fx, fy, cx, cy, level))
 
 
 def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
@@ -71,10 +70,10 @@ def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
         )
     metres = raw.astype(np.float32)
     seen = np.isfinite(metres) & (metres > 0)
-    if seen.mean() < 0.25:
+    holes = 1 - seen.mean()
+    if holes > 0.75:
         raise MechSearchError(
-            f"{1 - seen.mean():.0%} of the depth image are holes (0 or not finite); expected less "
-            "than 75%"
+            f"{holes:.0%} of the depth image are holes (0 or not finite); expected less than 75%"
         )
     middle = float(np.median(metres[seen]))
     if middle > 20.0:

@@ -8,16 +8,16 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.grasp.grasp_view import GraspView, view_of_heap
-from mechsearch.grasp.image_grasp import (
+from mechsearch.grasp.grasp_view import (
     ANGLES,
     DEPTHS,
     STRIDE,
+    GraspView,
     ImageGrasp,
     alike,
     bin_angle,
     cells,
-    depth_bins,
+    view_of_heap,
 )
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.objects.model import ObjectModel
@@ -76,9 +76,9 @@ class Ratings:
         """How graspable the target is; 0 where no pixel of it is visible."""
         if not self.visible:
             return Graspability()
-        top, spread = self.best(), self.best_apart()
-        best = top[0].pose(self.camera)
-        return Graspability(_mean(top), _mean(spread), self.visible, False, best)
+        top, apart = self.best(), self.best_apart()
+        mean, spread = (float(np.mean([g.quality for g in some])) for some in (top, apart))
+        return Graspability(mean, spread, self.visible, best=top[0].pose(self.camera))
 
     def best(self, count: int = BEST) -> list[ImageGrasp]:
         """Return the best grasps, best first; of equal ones, the first in depth, angle and cell."""
@@ -124,17 +124,12 @@ class Ratings:
 
 
 def rate(network: GraspNetwork, view: GraspView) -> Ratings:
-    """Rate the grasps on a target.
-
-    Only what the cells on the target can see is computed; the image goes on beyond its border as
-    the surface that things stand on.
-    """
-    visible = int(view.mask.sum())
+    """Rate the grasps on a target; only what the cells on it can see is computed."""
+    visible, depths = int(view.mask.sum()), view.gripper_depths
     if not visible:
         none = np.empty(0, np.intp)
         empty = np.empty((DEPTHS, ANGLES, 0), np.float32)
-        return Ratings(empty, none, none, depth_bins(view.far, view.far), view.camera, 0)
-    depths = depth_bins(float(view.depth[view.mask].min()), view.far)
+        return Ratings(empty, none, none, depths, view.camera, 0)
     rows, columns = cells(view.mask)
     crop = view.around(rows.min(), rows.max(), columns.min(), columns.max())
     found = network.quality(
@@ -153,10 +148,7 @@ def rate_target(
         network: Whose judgement it is.
         models: The objects; those that have left the table are left out.
         poses: Of theirs (N, 7).
-        target: Its index.
-
-    Returns:
-        The ratings; None where the target has left the table.
+        target: Its index; the result is None where it has left the table.
 
     Raises:
         MechSearchError: If poses and objects do not fit.
@@ -185,15 +177,10 @@ def graspability(
 
 def ceiling(network: GraspNetwork, model: ObjectModel, pose: Array) -> Graspability:
     """Return the graspability of a target that lies as it does, all clutter removed."""
-    alone = view_of_heap([model], np.asarray(pose, np.float64)[None], 0)
-    return rate(network, alone).graspability
+    return rate(network, view_of_heap([model], np.asarray(pose, np.float64)[None], 0)).graspability
 
 
 def on_table(poses: Floats, target: int) -> tuple[list[int], int | None]:
     """Return which objects are on the table, and the target's place among them, or None."""
     present = np.flatnonzero(~Workspace().off_table(poses)).tolist()
     return present, present.index(target) if target in present else None
-
-
-def _mean(grasps: Sequence[ImageGrasp]) -> float:
-    return float(np.mean([grasp.quality for grasp in grasps]))

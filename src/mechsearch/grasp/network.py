@@ -12,15 +12,14 @@ from torch import Tensor, nn
 
 from mechsearch.files import read_arrays
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
-from mechsearch.grasp.image_grasp import ANGLES
+from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.types import Array, MechSearchError
 
 _KIND = "mechsearch grasp network"
+_CONVOLUTIONS = ("conv1_1", "conv1_2", "conv2_1", "conv2_2", "fc3", "fc4", "fc5")
 
 SHIPPED_GRASP_NETWORK = Path(__file__).with_name("parallel_jaw.safetensors")
 """The network that is used unless another is named; `parallel_jaw.json` is its card."""
-
-_LAYERS = ("conv1_1", "conv1_2", "conv2_1", "conv2_2", "fc3", "fc4", "fc5")
 
 
 class GraspNetwork(nn.Module):
@@ -47,30 +46,23 @@ class GraspNetwork(nn.Module):
         self.fc4 = nn.Conv2d(128, 128, 1)
         self.fc5 = nn.Conv2d(128, 2 * ANGLES, 1)
         self.pool = nn.MaxPool2d(2, 2, ceil_mode=True)
-        for layer in self.children():
-            if isinstance(layer, nn.Conv2d):
-                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-                assert layer.bias is not None
-                nn.init.zeros_(layer.bias)
+        for name in _CONVOLUTIONS:
+            nn.init.kaiming_normal_(self.get_parameter(f"{name}.weight"), nonlinearity="relu")
+            nn.init.zeros_(self.get_parameter(f"{name}.bias"))
 
-    def features(self, relative: Tensor) -> Tensor:
-        """Return features (B, 16, h, w) of depth minus gripper depth (B, 1, H, W) [m]."""
+    def forward(self, relative: Tensor) -> Tensor:
+        """Return logits of failure and success (B, 16, 2, (H - 96) / 4 + 1, (W - 96) / 4 + 1).
+
+        Args:
+            relative: Depth minus gripper depth (B, 1, H, W) [m].
+        """
         x = torch.relu(self.conv1_1((relative - self.mean) / self.std))
         x = self.pool(torch.relu(self.conv1_2(x)))
         x = torch.relu(self.conv2_1(x))
-        out: Tensor = self.pool(torch.relu(self.conv2_2(x)))
-        return out
-
-    def head(self, features: Tensor) -> Tensor:
-        """Return logits (B, 16, 2, h - 16, w - 16): of failure and success, by angle."""
-        x = torch.relu(self.fc4(torch.relu(self.fc3(features))))
+        x = self.pool(torch.relu(self.conv2_2(x)))
+        x = torch.relu(self.fc4(torch.relu(self.fc3(x))))
         logits: Tensor = self.fc5(x)
-        batch, _, height, width = logits.shape
-        return logits.reshape(batch, ANGLES, 2, height, width)
-
-    def forward(self, relative: Tensor) -> Tensor:
-        """Return logits (B, 16, 2, (H - 96) / 4 + 1, (W - 96) / 4 + 1)."""
-        return self.head(self.features(relative))
+        return logits.reshape(-1, ANGLES, 2, *logits.shape[2:])
 
     @torch.inference_mode()
     def quality(self, image: Tensor, depths: Tensor) -> Tensor:
@@ -98,9 +90,8 @@ def load_network(path: Path | None = None) -> GraspNetwork:
     path = path or SHIPPED_GRASP_NETWORK
     if path.suffix == ".npz":
         return _from_release(path)
-    archive = load_archive(path, _KIND)
     network = GraspNetwork()
-    fill(network, archive.tensors)
+    fill(network, load_archive(path, _KIND).tensors)
     return ready(network)
 
 
@@ -121,11 +112,9 @@ def _from_release(path: Path) -> GraspNetwork:
             f"no network at {path}; expected a .safetensors file of this project, or the released "
             "FC-GQCNN-4.0-PJ weights as .npz"
         )
-    arrays = read_arrays(path, "released network")
+    arrays, network = read_arrays(path, "released network"), GraspNetwork()
     try:
-        state = _renamed(arrays)
-        network = GraspNetwork()
-        network.load_state_dict(state)
+        network.load_state_dict(_renamed(arrays, network.state_dict()))
     except (ValueError, KeyError, RuntimeError) as error:
         raise MechSearchError(
             f"{path} does not hold the released FC-GQCNN-4.0-PJ weights: {error}"
@@ -133,14 +122,13 @@ def _from_release(path: Path) -> GraspNetwork:
     return ready(network)
 
 
-def _renamed(arrays: dict[str, Array]) -> dict[str, Tensor]:
-    """Return the released tensors, kept as (height, width, in, out), under this module's names."""
+def _renamed(arrays: dict[str, Array], blank: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return released tensors, kept as (height, width, in, out), named and laid out as `blank`."""
     state = {
         "mean": torch.tensor(float(arrays["im_depth_sub_mean"])),
         "std": torch.tensor(float(arrays["im_depth_sub_std"])),
     }
-    blank = GraspNetwork().state_dict()
-    for layer in _LAYERS:
+    for layer in _CONVOLUTIONS:
         out, into, height, width = blank[f"{layer}.weight"].shape
         weights = arrays[f"{layer}_weights"].reshape(height, width, into, out)
         state[f"{layer}.weight"] = torch.from_numpy(weights.transpose(3, 2, 0, 1).copy())

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.grasp.grasp_view import GraspView
-from mechsearch.grasp.image_grasp import ImageGrasp
+from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures import canvas
 from mechsearch.render.renderer import Renderer

@@ -1,24 +1,30 @@
-"""What a gripper could do with a target in one state: its graspability, and what grasps lift it."""
+"""What a gripper could do with targets, in one state or before and after episodes.
+
+That is their graspability, and what becomes of the best grasps when they are executed.
+"""
 
 import multiprocessing
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
+from mechsearch.grasp.grasp_view import check_opening
 from mechsearch.grasp.graspability import (
     Graspability,
     ceiling,
+    graspability,
     on_table,
     rate_target,
 )
-from mechsearch.grasp.network import GraspNetwork, load_network
+from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network
 from mechsearch.heaps.dataset import Heap, object_set, open_heaps
-from mechsearch.objects.model import ObjectModel
+from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome, Perturbation, perturbed
@@ -147,16 +153,15 @@ class AssessmentSummary:
 
 def summarise(assessments: Sequence[GraspAssessment]) -> AssessmentSummary:
     """Return means over at least one target; one without a grasp is not retrieved."""
-    best = [found.lifts[0] for found in assessments if found.lifts]
+    best, count = [found.lifts[0] for found in assessments if found.lifts], len(assessments)
     alone = [found.alone.score for found in assessments if found.alone is not None]
-    outcomes = Counter(str(outcome) for lift in best for outcome in lift.tried)
     return AssessmentSummary(
         float(np.mean([found.now.score for found in assessments])),
         float(np.mean(alone)) if alone else float("nan"),
         sum(not found.now.visible for found in assessments),
-        sum(lift.planned is Outcome.SUCCESS for lift in best) / len(assessments),
-        sum(lift.probability for lift in best) / len(assessments),
-        dict(outcomes.most_common()),
+        sum(lift.planned is Outcome.SUCCESS for lift in best) / count,
+        sum(lift.probability for lift in best) / count,
+        dict(Counter(str(outcome) for lift in best for outcome in lift.tried).most_common()),
     )
 
 
@@ -170,12 +175,15 @@ def tasks_of_heaps(
         objects: Object set; empty takes the one that the heaps were made with.
         split: As for `HeapSet.choose`.
         limit: Likewise.
-        network: File of the grasp network; None takes the shipped one.
-        opening: Of the gripper [m].
+        network: As in a `GraspTask`.
+        opening: Likewise [m].
 
     Raises:
-        MechSearchError: If heaps and objects do not fit, or there are not so many heaps.
+        MechSearchError: If the network is no good, it cannot speak for the gripper, heaps and
+            objects do not fit, or there are not so many heaps.
     """
+    check_opening(opening)
+    shared_network(network)
     heap_set, _ = open_heaps(path, objects)
     heaps = [heap_set.heaps[i] for i in heap_set.choose(split, limit)]
     spec = objects or heap_set.objects
@@ -189,7 +197,7 @@ def assess_all(
     tasks: Sequence[GraspTask], workers: int = 1, progress: Progress = silent
 ) -> list[GraspAssessment]:
     """Return what a gripper can do with each target, in order, whatever the number of workers."""
-    found = []
+    found: list[GraspAssessment] = []
     for assessment in map_in_order(_assess, tasks, workers):
         found.append(assessment)
         progress("targets assessed", len(found), len(tasks))
@@ -235,19 +243,16 @@ def lift_grasps(
         seed: Of the perturbations.
         gripper: The gripper.
     """
-    if not len(grasps):
-        return []
     present, index = on_table(poses, target)
-    if index is None:
+    if index is None or not len(grasps):
         return [LiftResult(Outcome.MISSED, (Outcome.MISSED,) * repeats) for _ in grasps]
-    world = LiftWorld([models[i] for i in present], gripper)
-    states, results = poses[present], []
+    world, states = LiftWorld([models[i] for i in present], gripper), poses[present]
+    results = []
     for i, grasp in enumerate(grasps):
         rng = np.random.default_rng([seed, i])
         planned = world.lift(states, index, grasp)
         draws = [perturbed(grasp, rng, Perturbation()) for _ in range(repeats)]
-        executed = tuple(world.lift(states, index, pose, friction) for pose, friction in draws)
-        results.append(LiftResult(planned, executed))
+        results.append(LiftResult(planned, tuple(world.lift(states, index, *d) for d in draws)))
     return results
 
 
@@ -261,8 +266,7 @@ def film_lift(
 
 def settled(models: Sequence[ObjectModel], poses: Floats) -> Floats:
     """Return poses (N, 7) after the objects on the table have come to rest without a robot."""
-    present, _ = on_table(poses, 0)
-    states = np.array(poses, np.float64)
+    states, (present, _) = np.array(poses, np.float64), on_table(poses, 0)
     if present:
         world = World([models[i] for i in present], config=AWAKE)
         world.reset(states[present])
@@ -285,5 +289,98 @@ def shared_network(path: Path | None = None) -> GraspNetwork:
     return load_network(path)
 
 
+def assess_evaluation(
+    evaluation: Evaluation,
+    network: Path | None = None,
+    objects: str = "",
+    workers: int = 1,
+    progress: Progress = silent,
+) -> Evaluation:
+    """Return an evaluation with graspability and retrieval of every episode's target.
+
+    What a process's evaluations have in common is assessed once.
+
+    Args:
+        evaluation: What was recorded.
+        network: As in a `GraspTask`.
+        objects: Object set; empty takes the one that the evaluation names.
+        workers: Processes; the results do not depend on their number.
+        progress: Told after each state.
+    """
+    records, spec = evaluation.episodes, objects or str(evaluation.header["object_set"])
+
+    def task(r: EpisodeRecord, state: int) -> GraspTask:
+        first = state == 0
+        return GraspTask(spec, r.objects, r.poses[state], r.target, network, first, alone=first)
+
+    # All policies start from the same heaps, and an idle one ends there too.
+    starts = _starts(network, spec)
+    new = {_start(r): task(r, 0) for r in records if _start(r) not in starts}
+    ends = [task(r, -1) for r in records if not _still(r)]
+    found = iter(assess_all([*new.values(), *ends], workers, progress))
+    starts |= dict(zip(new, found, strict=False))
+    episodes = []
+    for record in records:
+        first = starts[_start(record)]
+        grasp = _grasp_record(first, first if _still(record) else next(found))
+        episodes.append(replace(record, grasp=grasp))
+    header = {**evaluation.header, "grasp_network": (network or SHIPPED_GRASP_NETWORK).name}
+    return Evaluation(header, tuple(episodes))
+
+
+def assessor(
+    network: Path | None = None, objects: str = "", workers: int = 1
+) -> Callable[..., Evaluation]:
+    """Return `assess_evaluation` with these arguments.
+
+    Raises:
+        MechSearchError: If the network is no good.
+    """
+    shared_network(network)
+    return partial(assess_evaluation, network=network, objects=objects, workers=workers)
+
+
+class GraspabilityChange:
+    """How much more graspable the target of an episode becomes (paper, section IV-C)."""
+
+    def __init__(self, network: GraspNetwork, objects: ObjectSet) -> None:
+        """Choose whose judgement it is, and of which objects the heaps are."""
+        self._network, self._models = network, objects.models
+        # Every policy begins with the same heaps.
+        self._first: dict[int, float] = {}
+
+    def __call__(self, record: EpisodeRecord) -> float:
+        """Return the graspability at the end, when all has come to rest, minus that of the heap."""
+        if _still(record):
+            return 0.0
+        models = [self._models[name] for name in record.objects]
+
+        def rated(poses: Floats) -> float:
+            return graspability(self._network, models, poses, record.target).score
+
+        if record.heap_seed not in self._first:
+            self._first[record.heap_seed] = rated(record.poses[0])
+        return rated(settled(models, record.poses[-1])) - self._first[record.heap_seed]
+
+
 def _assess(task: GraspTask) -> GraspAssessment:
     return assess(shared_network(task.network), task.models, task)
+
+
+@cache
+def _starts(network: Path | None, objects: str) -> dict[bytes, GraspAssessment]:
+    """Return where a process keeps what starts of episodes were assessed as."""
+    return {}
+
+
+def _start(record: EpisodeRecord) -> bytes:
+    return b"".join((repr((record.objects, record.target)).encode(), record.poses[0].tobytes()))
+
+
+def _still(record: EpisodeRecord) -> bool:
+    return np.array_equal(record.poses[-1], record.poses[0])
+
+
+def _grasp_record(first: GraspAssessment, last: GraspAssessment) -> GraspRecord:
+    lifts = str(first.retrieved or ""), str(last.retrieved or "")
+    return GraspRecord(first.now.score, last.now.score, (first.alone or first.now).score, *lifts)

@@ -25,12 +25,9 @@ class Calibration:
         threshold: Quality from which the fitted chance is at least one half.
         brier: Mean squared error of the quality itself on the test half, one execution each.
         brier_fitted: Of the fitted chance.
-        rank_correlation: Spearman's, of quality and share of successes, over grasps of the test
-            half.
-        score_correlation: Spearman's, of graspability and success of the best grasp, over all
-            states.
-        curve: Mean fitted chance, share of successes and number of executions (b, 3) on the test
-            half.
+        rank_correlation: Spearman's, of quality and share of successes, on the test half.
+        score_correlation: Spearman's, of graspability and success of the best grasp.
+        curve: Mean fitted chance, share of successes and executions (b, 3) on the test half.
         rated: Likewise, of the quality as rated.
         executions: On the test half.
     """
@@ -62,7 +59,7 @@ def calibrate_network(
     """Lift targets before and after episodes, and hold a network's scores against the success.
 
     Args:
-        network: File of the grasp network; None takes the shipped one.
+        network: As in a `GraspTask`.
         states: Episodes, each with its object set as given to `load_object_set`.
         grasps: How many of the best grasps to try, and as many drawn uniformly from all others.
         repeats: Perturbed executions of each.
@@ -78,16 +75,13 @@ def calibrate_network(
             "of each"
         )
     shared_network(network)
+    tried: dict[str, Any] = {"at_rest": False, "best": grasps, "drawn": grasps, "repeats": repeats}
     tasks = [
-        GraspTask(
-            objects, record.objects, poses, record.target, network, at_rest=False, best=grasps,
-            drawn=grasps, repeats=repeats, heap_seed=record.heap_seed,
-        )
-        for objects, record in states
-        for poses in (record.poses[0], record.poses[-1])
-    ]  # fmt: skip
-    assessments = assess_all(tasks, workers, progress)
-    return calibrate([task.heap_seed for task in tasks], assessments)
+        GraspTask(objects, r.objects, poses, r.target, network, heap_seed=r.heap_seed, **tried)
+        for objects, r in states
+        for poses in (r.poses[0], r.poses[-1])
+    ]
+    return calibrate([task.heap_seed for task in tasks], assess_all(tasks, workers, progress))
 
 
 def calibrate(heaps: Sequence[int], assessments: Sequence[GraspAssessment]) -> Calibration:

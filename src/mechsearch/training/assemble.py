@@ -12,7 +12,7 @@ from mechsearch.evaluation.rollout import run
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
-from mechsearch.retrieval.episodes import GraspabilityChange
+from mechsearch.retrieval.assessment import GraspabilityChange
 from mechsearch.teachers import make_teacher
 from mechsearch.types import MechSearchError, Policy
 

@@ -1,32 +1,161 @@
-"""Label grasps by trying them: the set that a network learns from.
+"""Label grasps by trying them, and keep them: the set that a network learns from.
 
 No network proposes or judges a grasp. Every visible object of every heap is the target in turn;
 its grasps are the policy's own angles and depths on its pixels, and a share of geometric ones, so
 that success is not too rare to learn.
 """
 
-from collections.abc import Iterator
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.files import alone
-from mechsearch.grasp.grasp_view import GraspView, view_of_heap
-from mechsearch.grasp.image_grasp import FIELD, ImageGrasp, angle_bin
-from mechsearch.grasp.learning.grasp_set import OUTCOMES, GraspFolder, Grasps
+from mechsearch.files import alone, read_arrays, read_record, write_record, write_whole
+from mechsearch.grasp.grasp_view import FIELD, GraspView, ImageGrasp, angle_bin, view_of_heap
 from mechsearch.grasp.learning.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftWorld, Perturbation, perturbed
+from mechsearch.sim.lift import LiftWorld, Outcome, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import MechSearchError
+
+_FORMAT = 1
+_PURPOSE = "manifest of a grasp set"
+
+MANIFEST_FILE = "grasps.json"
+"""What a folder of labelled grasps holds, and from what they were made."""
+
+OUTCOMES = tuple(Outcome)
+"""What the outcome numbers of a grasp set mean."""
 
 _LEAST_VISIBLE = 16
 """Pixels of an object from which grasps are proposed on it."""
+
+_TYPES = (np.float16, np.float32, np.uint8, np.uint8, np.bool_, np.int64, np.str_)
+"""Of the arrays of `Grasps`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grasps:
+    """Labelled grasps (n,), and what the network sees of each.
+
+    Attributes:
+        relative: Depth minus gripper depth (n, 96, 96) float16 [m], the grasp centre at pixel 48.
+        depth: Of the gripper (n,) float32 [m].
+        bin: Of the closing direction (n,) uint8.
+        outcome: Index in `OUTCOMES` (n,) uint8.
+        geometric: Whether geometry proposed the grasp, not chance (n,) bool.
+        heap: Seed of the heap (n,) int64.
+        object: Name of the object to lift (n,), text.
+    """
+
+    relative: NDArray[np.float16]
+    depth: NDArray[np.float32]
+    bin: NDArray[np.uint8]
+    outcome: NDArray[np.uint8]
+    geometric: NDArray[np.bool_]
+    heap: NDArray[np.int64]
+    object: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """The labels (n,)."""
+        return np.asarray(self.outcome == OUTCOMES.index(Outcome.SUCCESS), np.bool_)
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How many grasps came to which outcome."""
+        return Counter(str(OUTCOMES[number]) for number in self.outcome)
+
+    def where(self, keep: NDArray[Any]) -> "Grasps":
+        """Return some of the grasps, by a mask (n,) or indices."""
+        return Grasps(*(getattr(self, name)[keep] for name in _FIELDS))
+
+    @staticmethod
+    def concatenated(parts: Sequence["Grasps"]) -> "Grasps":
+        """Return all grasps of at least one part."""
+        return Grasps(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS))
+
+
+_FIELDS = tuple(Grasps.__dataclass_fields__)
+
+
+class GraspFolder:
+    """A folder of labelled grasps that is filled shard by shard."""
+
+    def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
+        """Open a folder, new or begun.
+
+        Args:
+            path: The folder.
+            identity: What its grasps are made from: plain JSON.
+
+        Raises:
+            MechSearchError: If the folder holds grasps that were made from something else.
+        """
+        self.path = path
+        self._manifest: dict[str, Any] = {"format": _FORMAT, **identity, "shards": {}}
+        file = path / MANIFEST_FILE
+        if file.exists():
+            found = read_record(file, _PURPOSE, ("format", "shards"))
+            if {**found, "shards": {}} != self._manifest:
+                known = {**self._manifest, "shards": found["shards"]}
+                differing = ", ".join(k for k, v in known.items() if found.get(k) != v)
+                raise MechSearchError(
+                    f"{path} holds grasps made from another {differing}; name another folder"
+                )
+            self._manifest = found
+
+    def has(self, name: str) -> bool:
+        """Return whether a shard is there, whole."""
+        return _whole(self.path / name, self._manifest["shards"].get(name))
+
+    def add(self, name: str, grasps: Grasps) -> None:
+        """Write a shard and enter it into the manifest."""
+        arrays = {field: getattr(grasps, field) for field in _FIELDS}
+        file = self.path / name
+        write_whole(file, lambda to: np.savez_compressed(to, allow_pickle=False, **arrays))
+        self._manifest["shards"][name] = {
+            "sha256": _sha256(file),
+            "grasps": len(grasps),
+            "positive": int(grasps.success.sum()),
+        }
+        write_record(self.path / MANIFEST_FILE, _PURPOSE, self._manifest)
+
+
+def load_grasps(path: Path) -> Grasps:
+    """Return all grasps of a folder.
+
+    Raises:
+        MechSearchError: If there are none, or a shard is missing or damaged.
+    """
+    file = path / MANIFEST_FILE
+    manifest = read_record(file, _PURPOSE, ("format", "shards"))
+    if manifest["format"] != _FORMAT:
+        raise MechSearchError(
+            f"{file} is of labelled grasps of format {manifest['format']}; this version reads "
+            f"{_FORMAT}"
+        )
+    parts = []
+    for name, entry in sorted(manifest["shards"].items()):
+        shard = path / name
+        if not _whole(shard, entry):
+            raise MechSearchError(f"shard {shard} is missing or damaged; label again to replace it")
+        parts.append(Grasps(**read_arrays(shard, "shard of labelled grasps")))
+    if not parts:
+        raise MechSearchError(f"{path} holds no grasps yet")
+    return Grasps.concatenated(parts)
 
 
 @dataclass(frozen=True)
@@ -94,22 +223,24 @@ def label_grasps(
         identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
         folder = GraspFolder(path, identity)
         starts = range(0, len(heaps), config.shard)
-        missing = [start for start in starts if not folder.has(_name(start, config))]
-        done = len(heaps) - sum(len(heaps[start : start + config.shard]) for start in missing)
+        parts = [heaps[start : start + config.shard] for start in starts]
+        shards = {f"grasps-{number:05d}.npz": part for number, part in enumerate(parts)}
+        missing = {name: part for name, part in shards.items() if not folder.has(name)}
+        tasks = list(chain.from_iterable(missing.values()))
+        done = len(heaps) - len(tasks)
         progress("labelled heaps", done, len(heaps))
-        tasks = (heap for start in missing for heap in heaps[start : start + config.shard])
-        labelled = map_in_order(partial(label_heap, objects=objects, config=config), tasks, workers)
-        for start in missing:
-            parts = []
-            for _ in heaps[start : start + config.shard]:
-                parts.append(next(labelled))
+        labelled = map_in_order(partial(_labelled, objects=objects, config=config), tasks, workers)
+        for name, part in missing.items():
+            grasps = []
+            for found in islice(labelled, len(part)):
+                grasps.append(found)
                 done += 1
                 progress("labelled heaps", done, len(heaps))
-            folder.add(_name(start, config), Grasps.concatenated(parts))
+            folder.add(name, Grasps.concatenated(grasps))
         return folder
 
 
-def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
+def _labelled(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
     """Return the labelled grasps of one heap, a pure function of its arguments."""
     known = object_set(objects).models
     models = [known[name] for name in heap.objects]
@@ -125,24 +256,14 @@ def label_heap(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
             pose, friction = grasp.pose(view.camera), gripper.friction
             if config.perturbed:
                 pose, friction = perturbed(pose, rng, Perturbation())
-            outcome = world.lift(heap.poses, index, pose, friction)
-            seen = thumbnail(view, grasp)
-            number = OUTCOMES.index(outcome)
-            rows.append((seen, grasp.depth, int(angle_bin(grasp.angle)), number, geometric, index))
-    return _collected(rows, heap)
-
-
-def _collected(rows: list[tuple[Array, float, int, int, bool, int]], heap: Heap) -> Grasps:
-    seen, depth, angle, outcome, geometric, index = list(zip(*rows, strict=True)) or [()] * 6
-    return Grasps(
-        np.array(seen, np.float16).reshape(-1, FIELD, FIELD),
-        np.array(depth, np.float32),
-        np.array(angle, np.uint8),
-        np.array(outcome, np.uint8),
-        np.array(geometric, np.bool_),
-        np.full(len(rows), heap.seed, np.int64),
-        np.array([heap.objects[i] for i in index], np.str_),
-    )
+            outcome = OUTCOMES.index(world.lift(heap.poses, index, pose, friction))
+            seen, angle = thumbnail(view, grasp), int(angle_bin(grasp.angle))
+            rows.append(
+                (seen, grasp.depth, angle, outcome, geometric, heap.seed, heap.objects[index])
+            )
+    columns: list[tuple[Any, ...]] = list(zip(*rows, strict=True)) or [()] * len(_TYPES)
+    arrays: list[Any] = [np.array(c, kind) for c, kind in zip(columns, _TYPES, strict=True)]
+    return Grasps(arrays[0].reshape(-1, FIELD, FIELD), *arrays[1:])
 
 
 def thumbnail(view: GraspView, grasp: ImageGrasp) -> NDArray[np.float16]:
@@ -161,5 +282,10 @@ def _proposed(
     yield from ((grasp, False) for grasp in uniform(view, rng, config.per_object - len(found)))
 
 
-def _name(start: int, config: LabelConfig) -> str:
-    return f"grasps-{start // config.shard:05d}.npz"
+def _whole(path: Path, entry: Mapping[str, Any] | None) -> bool:
+    return entry is not None and path.is_file() and _sha256(path) == entry["sha256"]
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

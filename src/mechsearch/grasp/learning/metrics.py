@@ -110,20 +110,16 @@ def paired_gain(
 
 def auc(quality: Floats, success: Array) -> float:
     """Return the chance that a random success is rated above a random failure, ties half."""
-    failures = np.sort(quality[~success])
-    below = np.searchsorted(failures, quality[success], "left")
-    up_to = np.searchsorted(failures, quality[success], "right")
+    failures, won = np.sort(quality[~success]), quality[success]
+    below, up_to = (np.searchsorted(failures, won, side) for side in ("left", "right"))
     return float((below + up_to).mean() / 2 / len(failures))
 
 
 def reliability(quality: Floats, success: Array, bins: int = 10) -> Floats:
     """Return mean quality, share of successes and count (b, 3) of each filled bin of quality."""
     place = np.minimum((quality * bins).astype(int), bins - 1)
-    rows = [
-        (quality[own].mean(), success[own].mean(), own.sum())
-        for own in (place == i for i in range(bins))
-        if own.any()
-    ]
+    filled = [place == i for i in np.unique(place)]
+    rows = [(quality[own].mean(), success[own].mean(), own.sum()) for own in filled]
     return np.array(rows, np.float64)
 
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.grasp.grasp_view import GraspView
-from mechsearch.grasp.image_grasp import ANGLES, ImageGrasp, bin_angle, depth_bins
+from mechsearch.grasp.grasp_view import ANGLES, GraspView, ImageGrasp, bin_angle
 from mechsearch.sim.gripper import Gripper
 from mechsearch.types import Array, Floats
 
@@ -60,7 +59,7 @@ def antipodal(
 def _drawn(view: GraspView, rng: np.random.Generator, count: int) -> _Batch:
     rows, columns = np.nonzero(view.mask)
     pixel = rng.integers(len(rows), size=count)
-    depths = depth_bins(float(view.depth[view.mask].min()), view.far)
+    depths = view.gripper_depths
     return _Batch(
         rows[pixel].astype(np.float64),
         columns[pixel].astype(np.float64),
@@ -73,13 +72,11 @@ def _centred(view: GraspView, batch: _Batch, gripper: Gripper) -> tuple[_Batch, 
     """Return grasps moved to the middle of what is between their fingers, and which hold it."""
     start, end, held = _between(view, batch, gripper, 0.0)
     shift = np.where(held, (start + end) / 2, 0.0)
-    one = _between(view, batch, gripper, -gripper.width / 4)
-    other = _between(view, batch, gripper, gripper.width / 4)
-    held = held & one[2] & other[2]
-    for side in (0, 1):
-        # The outline must face the finger within the friction cone, or it slides out sideways.
-        slope = np.abs(one[side] - other[side]) / (gripper.width / 2)
-        held = held & (slope <= gripper.friction)
+    *one, one_held = _between(view, batch, gripper, -gripper.width / 4)
+    *other, other_held = _between(view, batch, gripper, gripper.width / 4)
+    # Both outlines must face the fingers within the friction cone, or it slides out sideways.
+    slope = np.abs(np.subtract(one, other)).max(axis=0) / (gripper.width / 2)
+    held = held & one_held & other_held & (slope <= gripper.friction)
     to_right, down = _steps(view, batch)
     rows, columns = np.rint(batch.row + shift * down), np.rint(batch.column + shift * to_right)
     return _Batch(rows, columns, batch.depth, batch.angle), held
@@ -106,12 +103,12 @@ def _fingers_free(view: GraspView, batch: _Batch, gripper: Gripper) -> NDArray[n
     """Return which grasps (K,) have room for both fingers down to their tips."""
     tip = np.minimum(batch.depth + gripper.reach, view.far - gripper.clearance)
     inner, outer = gripper.opening / 2, gripper.opening / 2 + gripper.thickness
-    along = np.linspace(inner, outer, 5)
+    finger = np.linspace(inner, outer, 5)
+    along = np.concatenate([-finger, finger])
     free = np.ones(len(tip), np.bool_)
-    for side in (-1.0, 1.0):
-        for across in _ACROSS:
-            depth, _ = _profile(view, batch, side * along, across * gripper.width / 2)
-            free &= (depth > tip[:, None]).all(axis=1)
+    for across in _ACROSS:
+        depth, _ = _profile(view, batch, along, across * gripper.width / 2)
+        free &= (depth > tip[:, None]).all(axis=1)
     return free
 
 

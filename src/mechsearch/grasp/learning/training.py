@@ -1,7 +1,7 @@
 """Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ from mechsearch.files.tensors import (
     prefixed,
     save_archive,
 )
-from mechsearch.grasp.image_grasp import ANGLES
-from mechsearch.grasp.learning.grasp_set import Grasps
+from mechsearch.grasp.grasp_view import ANGLES
+from mechsearch.grasp.learning.labelling import Grasps
 from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.dataset import evenly_spread
@@ -135,11 +135,9 @@ def predict(network: GraspNetwork, grasps: Grasps, batch: int = 256) -> NDArray[
     network.eval()
     found = []
     for start in range(0, len(grasps), batch):
-        seen = _tensor(grasps.relative[start : start + batch])
-        logits = network(seen)[:, :, :, 0, 0]
-        angle = torch.from_numpy(grasps.bin[start : start + batch].astype(np.int64))
-        own = logits[torch.arange(len(seen)), angle]
-        found.append(torch.sigmoid(own[:, 1] - own[:, 0]).double().numpy())
+        own = slice(start, start + batch)
+        logits = _logits(network, grasps.relative[own], grasps.bin[own])
+        found.append(torch.sigmoid(logits[:, 1] - logits[:, 0]).double().numpy())
     return np.concatenate(found)
 
 
@@ -154,13 +152,11 @@ def compare_networks(grasps: Grasps, networks: Mapping[str, Path | None]) -> Net
         MechSearchError: If a network is no good, or all outcomes are alike.
     """
     rated = {name: predict(load_network(path), grasps) for name, path in networks.items()}
-    success, heap = grasps.success, grasps.heap
+    won, heap = grasps.success, grasps.heap
     (_, ours), *others = rated.items()
-    return NetworkComparison(
-        len(np.unique(heap)),
-        {name: judge(quality, success) for name, quality in rated.items()},
-        {name: paired_gain(ours, quality, success, heap) for name, quality in others},
-    )
+    verdicts = {name: judge(quality, won) for name, quality in rated.items()}
+    gains = {name: paired_gain(ours, quality, won, heap) for name, quality in others}
+    return NetworkComparison(len(np.unique(heap)), verdicts, gains)
 
 
 def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:
@@ -205,52 +201,42 @@ def _train(
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate * (1 + math.cos(math.pi * share)) / 2
     total = 0.0
-    for seen, angle, success in _batches(learn, config, epoch):
-        logits = network(seen)[:, :, :, 0, 0]
-        loss = nn.functional.cross_entropy(logits[torch.arange(len(seen)), angle], success)
-        optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        optimizer.step()
-        total += float(loss.detach()) * len(seen)
-    return total / len(learn)
-
-
-def _batches(
-    learn: Grasps, config: GraspTrainConfig, epoch: int
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     # Of its epoch alone, so that a resumed training is the same training.
     rng = np.random.default_rng([config.seed, epoch])
     order = rng.permutation(len(learn))
-    success = learn.success
+    success = torch.from_numpy(learn.success.astype(np.int64))
     for start in range(0, len(order), config.batch):
         own = order[start : start + config.batch]
         symmetry = rng.integers(8, size=len(own)) * config.turned
-        seen, angle = turned(learn.relative[own], learn.bin[own], symmetry)
-        labels = torch.from_numpy(success[own].astype(np.int64))
-        yield _tensor(seen), torch.from_numpy(angle.astype(np.int64)), labels
+        logits = _logits(network, *turned(learn.relative[own], learn.bin[own], symmetry))
+        loss = nn.functional.cross_entropy(logits, success[own])
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        optimizer.step()
+        total += float(loss.detach()) * len(own)
+    return total / len(learn)
 
 
-def _tensor(seen: Array) -> Tensor:
+def _logits(network: GraspNetwork, seen: Array, angle: Array) -> Tensor:
+    """Return logits (n, 2) of images (n, 96, 96), in each one's own closing direction (n,)."""
     images = torch.from_numpy(seen.astype(np.float32))[:, None]
-    return images.contiguous(memory_format=torch.channels_last)
+    found = network(images.contiguous(memory_format=torch.channels_last))[:, :, :, 0, 0]
+    own: Tensor = found[torch.arange(len(seen)), torch.from_numpy(angle.astype(np.int64))]
+    return own
 
 
 def _resume(
-    path: Path,
-    identity: dict[str, Any],
-    network: GraspNetwork,
-    optimizer: torch.optim.Optimizer,
+    path: Path, identity: dict[str, Any], network: GraspNetwork, optimizer: torch.optim.Optimizer
 ) -> list[dict[str, float]]:
     """Take up a checkpoint, if there is one; return the history so far."""
     if not path.exists():
         return []
     archive = load_archive(path, _KIND)
     stored = archive.meta["identity"]
-    differing = [name for name, value in identity.items() if stored.get(name) != value]
+    differing = ", ".join(name for name, value in identity.items() if stored.get(name) != value)
     if differing:
         raise MechSearchError(
-            f"{path.parent} holds a training with another {', '.join(differing)}; name another "
-            "folder"
+            f"{path.parent} holds a training with another {differing}; name another folder"
         )
     fill(network, part(archive.tensors, "network"))
     fill_optimizer(optimizer, part(archive.tensors, "adam"))
