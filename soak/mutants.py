@@ -59,7 +59,7 @@ SUBJECTS = (
     ),
     Subject(
         "mechsearch.actor_critic.learner",
-        ("alpha_divergence", "bellman_target", "_target_value", "_tensors"),
+        ("alpha_divergence", "bellman_target", "_tensors"),
         ("tests/actor_critic/test_targets.py",),
     ),
     Subject(
@@ -74,7 +74,7 @@ SUBJECTS = (
     ),
     Subject(
         "mechsearch.actor_critic.replay",
-        ("__len__", "add", "end", "_judge", "_write", "sample", "_look_ahead"),
+        ("__len__", "add", "end", "_judge", "_write", "sample"),
         ("tests/actor_critic/test_replay.py", "tests/actor_critic/test_targets.py"),
     ),
 )
