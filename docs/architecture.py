@@ -104,7 +104,7 @@ def draw(folder, out):
     for name, file in names.items():
         lines[room_of(name)] += len(file.read_text().splitlines())
     for name, own in imports(names).items():
-        for other in own:
+        for other in sorted(own):
             if room_of(other) != room_of(name):
                 arrows[room_of(name), room_of(other)] += 1
     places = {}
