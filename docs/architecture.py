@@ -104,7 +104,7 @@ def draw(folder, out):
     for name, file in names.items():
         lines[room_of(name)] += len(file.read_text().splitlines())
     for name, own in imports(names).items():
-        for other in own:
+        for other in sorted(own):
             if room_of(other) != room_of(name):
                 arrows[room_of(name), room_of(other)] += 1
     places = {}
@@ -113,22 +113,24 @@ def draw(folder, out):
     for y, row in enumerate(reversed(layers)):
         for x, room in enumerate(row):
             places[room] = ((x - (len(row) - 1) / 2) * 3.2 + (0.35 if y % 2 else -0.35), y * 1.35)
-    shown = [arrow for arrow in arrows if set(arrow) <= set(places)]
-    for one, other in direct(shown):
-        arrow = FancyArrowPatch(
-            places[one], places[other], arrowstyle="-|>", mutation_scale=9, shrinkA=16,
-            shrinkB=16, color="#0072b2", linewidth=1, connectionstyle="arc3,rad=0.1", zorder=1,
-        )  # fmt: skip
-        ax.add_patch(arrow)
+    boxes = {}
     for room, (x, y) in places.items():
-        box = FancyBboxPatch(
+        boxes[room] = FancyBboxPatch(
             (x - 1.2, y - 0.32), 2.4, 0.64, boxstyle="round,pad=0.06", facecolor="white",
             edgecolor="#20242c", linewidth=1, zorder=2,
         )  # fmt: skip
-        ax.add_patch(box)
+        ax.add_patch(boxes[room])
         ax.text(x, y + 0.1, room, ha="center", va="center", fontsize=10, zorder=3)
         text = f"{lines[room]:,} lines"
         ax.text(x, y - 0.2, text, ha="center", va="center", fontsize=7, color="#5b616b", zorder=3)
+    shown = [arrow for arrow in arrows if set(arrow) <= set(places)]
+    for one, other in direct(shown):
+        arrow = FancyArrowPatch(
+            places[one], places[other], patchA=boxes[one], patchB=boxes[other], arrowstyle="-|>",
+            mutation_scale=9, shrinkA=1, shrinkB=1, color="#0072b2", linewidth=1,
+            connectionstyle="arc3,rad=0.1", zorder=1,
+        )  # fmt: skip
+        ax.add_patch(arrow)
     ax.set_xlim(-5.5, 5.5)
     ax.set_ylim(-0.8, len(layers) * 1.35)
     ax.axis("off")

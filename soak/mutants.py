@@ -178,10 +178,13 @@ _OPPOSITES |= {new: old for old, new in _OPPOSITES.items()}
 
 def _statements(tree: ast.Module, functions: Sequence[str]) -> Iterator[tuple[str, ast.stmt]]:
     """Yield the simple statements and the heads of compound ones, by function."""
+    # What a nested function holds belongs to the outer one too, but is changed once.
+    met: set[ast.stmt] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and (not functions or node.name in functions):
             for inner in ast.walk(node):
-                if isinstance(inner, ast.stmt) and not _is_silent(inner):
+                if isinstance(inner, ast.stmt) and not _is_silent(inner) and inner not in met:
+                    met.add(inner)
                     yield node.name, inner
         elif isinstance(node, ast.ClassDef) and not functions:
             yield from ((node.name, field) for field in node.body if _is_field(field))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mechsearch.evaluation import policies
-from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy, make_policy, run_config
+from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy, config_of_run, make_policy
 from mechsearch.types import MechSearchError, Policy
 
 
@@ -103,6 +103,6 @@ def test_a_trained_policy_without_pytorch_says_what_to_install(
 def test_a_run_is_found_from_its_folder_its_actor_and_an_earlier_actor(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"name": "method", "image_size": 48}))
     for spec in (tmp_path, tmp_path / "actor.safetensors", tmp_path / "actors" / "a.safetensors"):
-        assert run_config(str(spec))["image_size"] == 48
-    assert run_config("random") == {}
-    assert run_config(str(tmp_path.parent / "elsewhere.safetensors")) == {}
+        assert config_of_run(str(spec))["image_size"] == 48
+    assert config_of_run("random") == {}
+    assert config_of_run(str(tmp_path.parent / "elsewhere.safetensors")) == {}

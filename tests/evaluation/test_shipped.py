@@ -8,8 +8,8 @@ from mechsearch.env.heap_env import make_env
 from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     card,
+    config_of_run,
     make_policy,
-    run_config,
     shipped_file,
 )
 from mechsearch.evaluation.rollout import run_episode
@@ -40,7 +40,7 @@ def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
     env = make_env(name, split="all")
     record = run_episode(policy, env, held_out[0], name=name)
     assert np.abs(record.actions).max() > 0.5
-    assert run_config(name)["name"] == name
+    assert config_of_run(name)["name"] == name
 
 
 def test_no_other_policy_is_shipped():

@@ -19,8 +19,8 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.cli import main
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.env.reward import RewardConfig
-from mechsearch.evaluation import episodes, summary
-from mechsearch.evaluation.episodes import METRICS, Evaluation, load_episodes
+from mechsearch.evaluation import episodes
+from mechsearch.evaluation.episodes import METRICS, Evaluation, load_episodes, read_summary
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.jobs import Scoring
 from mechsearch.experiments.journal import (
@@ -104,7 +104,7 @@ def test_every_job_is_done_and_every_result_is_where_the_layout_says(whole, tiny
 
 
 def test_the_summary_holds_every_metric_of_every_policy_once(whole):
-    rows = summary.read(whole[0] / "summary.csv")
+    rows = read_summary(whole[0] / "summary.csv")
     assert Counter(row.variant for row in rows) == dict.fromkeys(
         ("idle", "method", "plus", "teacher-straight"), len(METRICS)
     )

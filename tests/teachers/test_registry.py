@@ -11,7 +11,7 @@ from mechsearch.types import TEACHER_KEYS, MechSearchError
 
 FOURTH = """
 import numpy as np
-from mechsearch.pushes import straight
+from mechsearch.pushes.push import straight
 from mechsearch.teachers import PushTeacher
 
 

@@ -205,7 +205,7 @@ def card(name: str) -> dict[str, Any]:
     return found
 
 
-def run_config(spec: str) -> Mapping[str, Any]:
+def config_of_run(spec: str) -> Mapping[str, Any]:
     """Return the configuration of the run that a policy comes from; empty for others.
 
     A shipped policy goes by the name that it has on the command line.

@@ -18,8 +18,8 @@ from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     check_view,
     checked_policy,
+    config_of_run,
     make_policy,
-    run_config,
     task_of,
 )
 from mechsearch.files import differing_fields, fingerprint
@@ -83,7 +83,7 @@ class EvaluationPlan:
     @cached_property
     def run(self) -> Mapping[str, Any]:
         """Configuration of the run that the policy comes from; empty for others."""
-        return run_config(self.policy) if isinstance(self.policy, str) else {}
+        return config_of_run(self.policy) if isinstance(self.policy, str) else {}
 
     @property
     def policy_text(self) -> str:

@@ -1,7 +1,6 @@
 """How anything is written and read: whole, locked, checked; tensors have a module of their own."""
 
 from mechsearch.files.arrays import ARRAY_DAMAGE, read_arrays
-from mechsearch.files.fingerprint import crossed, fingerprint, mixed
 from mechsearch.files.layout import (
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
@@ -21,6 +20,7 @@ from mechsearch.files.layout import (
     SUMMARY_FILE,
     cache_folder,
 )
+from mechsearch.files.provenance import crossed, fingerprint, mixed
 from mechsearch.files.records import (
     CHECK_MARK,
     append_line,

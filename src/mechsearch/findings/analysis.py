@@ -301,7 +301,7 @@ def _tried(condition: Condition, scored: ScoredPolicy) -> int:
     if scored.trained:
         runs = [run for run in condition.runs.get(scored.name, ()) if run.seed == scored.seed]
         fits = [record for run in runs for record in run.records.get("fit", ())]
-        learnt = max((int(record["simulated"]) for record in fits), default=0)
+        learnt = max((int(record.get("simulated", 0)) for record in fits), default=0)
     return learnt + int(scored.header.get("simulated_actions", 0))
 
 

@@ -24,7 +24,7 @@ HOLDS, FAILS, UNDECIDED, UNMEASURED = "holds", "does not hold", "undecided", "no
 FLOOR, BEST_TEACHER = "the better of idle and random", "the best teacher"
 """Policies by what they are: which ones that is depends on the scores."""
 
-PAPER_TEACHERS = ("teacher-straight", "teacher-zigzag", "teacher-spiral")
+TEACHER_POLICIES = ("teacher-straight", "teacher-zigzag", "teacher-spiral")
 """Those that claims speak of, whichever others there are."""
 
 PAPER_CONDITIONS = ("single", "dual")
@@ -130,7 +130,7 @@ class ShareOfGap(Question):
     above: bool = True
     lost_by: str = ""
     from_nothing: bool = False
-    teachers: tuple[str, ...] = PAPER_TEACHERS
+    teachers: tuple[str, ...] = TEACHER_POLICIES
 
     def ask(self, experiment: Experiment) -> Answer:
         """See `Question`."""
@@ -272,7 +272,7 @@ class QuickerMovesMore(Question):
     def ask(self, experiment: Experiment) -> Answer:
         """See `Question`."""
         condition = experiment.condition(self.condition)
-        others = {*PASSIVE, *condition.teachers} - {*PAPER_TEACHERS}
+        others = {*PASSIVE, *condition.teachers} - {*TEACHER_POLICIES}
         names = [name for name in condition.policies if name not in others]
         if len(names) < 4:
             return self._unmeasured("fewer than four policies that act")
@@ -333,7 +333,7 @@ def _everywhere(
 
 
 def _less_clutter(ours: str) -> tuple[Question, ...]:
-    pairs = product(PAPER_CONDITIONS, PAPER_TEACHERS)
+    pairs = product(PAPER_CONDITIONS, TEACHER_POLICIES)
     return tuple(Better(c, "clutter_moved_m", ours, teacher) for c, teacher in pairs)
 
 
@@ -470,7 +470,7 @@ def difference(condition: Condition, metric: str, ours: str, theirs: str) -> Est
 
 
 def resolved(
-    condition: Condition, metric: str, name: str, teachers: Sequence[str] = PAPER_TEACHERS
+    condition: Condition, metric: str, name: str, teachers: Sequence[str] = TEACHER_POLICIES
 ) -> str:
     """Return which policy a role means by the mean of a metric; "" if there is none."""
     if name not in (FLOOR, BEST_TEACHER):

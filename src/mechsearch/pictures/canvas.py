@@ -14,7 +14,7 @@ from mechsearch.types import Array
 SMOOTHING = 2
 """Pictures are rendered so many times larger than they are shown."""
 
-BACKGROUND, INK = (255, 255, 255), (32, 36, 44)
+WHITE, INK = (255, 255, 255), (32, 36, 44)
 _SOFT = (110, 116, 126)
 _TINT, _RIM = (40, 215, 70), (0, 90, 30)
 
@@ -50,7 +50,7 @@ def shrunk(image: Image.Image, size: int) -> Image.Image:
 def captioned(image: Image.Image, *lines: str, text: int) -> Image.Image:
     """Return a picture with lines of `text` [px] below it, cut off where they are too long."""
     height = image.height + round((0.7 + 1.3 * len(lines)) * text)
-    framed = Image.new("RGB", (image.width, height), BACKGROUND)
+    framed = Image.new("RGB", (image.width, height), WHITE)
     framed.paste(image, (0, 0))
     draw, font = ImageDraw.Draw(framed), ImageFont.load_default(text)
     for i, line in enumerate(lines):
@@ -71,7 +71,7 @@ def tiled(
     rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
     heights = [max(one.height for one in row) for row in rows]
     width, height = (sum(s) + gap * (len(s) - 1) + 2 * margin for s in (widths, heights))
-    sheet = Image.new("RGB", (width, height), BACKGROUND)
+    sheet = Image.new("RGB", (width, height), WHITE)
     for r, row in enumerate(rows):
         for c, one in enumerate(row):
             left, top = sum(widths[:c]) + gap * c, sum(heights[:r]) + gap * r

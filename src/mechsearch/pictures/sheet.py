@@ -8,7 +8,7 @@ from PIL import Image
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import BACKGROUND, SMOOTHING, captioned, photographed, shrunk, tiled
+from mechsearch.pictures.canvas import SMOOTHING, WHITE, captioned, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import MechSearchError
 
@@ -83,7 +83,7 @@ def _portrait(model: ObjectModel, size: int) -> Image.Image:
     lying = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
     frame = Renderer([model], table_half=0.0, floor=-100.0).frame(camera, lying, colour=True)
     assert frame.rgb is not None
-    rgb = np.where((frame.ids == 0)[..., None], frame.rgb, np.array(BACKGROUND)).astype(np.uint8)
+    rgb = np.where((frame.ids == 0)[..., None], frame.rgb, np.array(WHITE)).astype(np.uint8)
     return shrunk(Image.fromarray(rgb), size)
 
 

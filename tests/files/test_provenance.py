@@ -1,7 +1,7 @@
 import numpy as np
 
 from mechsearch.files import crossed, fingerprint, mixed
-from mechsearch.files.fingerprint import PACKAGES
+from mechsearch.files.provenance import PACKAGES
 
 
 def test_a_fingerprint_names_what_computes() -> None:
