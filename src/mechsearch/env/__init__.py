@@ -1,1 +1,1 @@
-"""The decision process: environment, reward, Gymnasium ids."""
+"""The decision process: environment, reward, trials of pushes."""

@@ -1,1 +1,1 @@
-"""Work for many cores and many machines: the map over a Ray cluster, and runs by the list."""
+"""`mechsearch sweep`: a plan, its jobs, their schedule and journal."""

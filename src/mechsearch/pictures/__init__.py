@@ -1,1 +1,1 @@
-"""Filmstrips, films and contact sheets, from recorded states."""
+"""Filmstrips, films, sheets of heaps and objects, and grasps, from recorded states."""
