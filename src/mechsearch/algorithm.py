@@ -24,7 +24,7 @@ Evaluator = Callable[[Policy], Mapping[str, float]]
 """Scores a policy."""
 
 NamedTensors = Mapping[str, "Tensor"]
-"""NamedTensors by name; a slash parts a name from its owner's."""
+"""Tensors by name; a slash parts a name from its owner's."""
 
 
 class Env(Protocol):
