@@ -63,7 +63,8 @@ def measured(folder):
     return {
         "lines of the package": sum(len(f.read_text().splitlines()) for f in names.values()),
         "modules": len(names),
-        "own imports per module": round(sum(map(len, arrows.values())) / len(names), 2),
+        "own imports": (own := sum(map(len, arrows.values()))),
+        "own imports per module": round(own / len(names), 2),
         **{f"{kind} defined twice": len(found) for kind, found in twins(names).items()},
     }
 
