@@ -62,20 +62,19 @@ def covered(boxes):
 @pytest.fixture(scope="session")
 def ycb_folder():
     """The real objects' folder, where there is one."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "ycb"
-    folder = Path(os.environ.get("MECHSEARCH_YCB", beside))
-    if not folder.is_dir():
-        pytest.skip("no YCB objects: set MECHSEARCH_YCB to their folder to run this test")
-    return folder
+    return _folder("ycb", "MECHSEARCH_YCB", "YCB objects")
 
 
 @pytest.fixture(scope="session")
 def fcgqcnn_folder():
     """The released network's folder, where there is one."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "fcgqcnn"
-    folder = Path(os.environ.get("MECHSEARCH_FCGQCNN", beside))
+    return _folder("fcgqcnn", "MECHSEARCH_FCGQCNN", "released weights")
+
+
+def _folder(name, variable, what):
+    folder = Path(os.environ.get(variable, Path(__file__).resolve().parents[2] / "shared" / name))
     if not folder.is_dir():
-        pytest.skip("no released weights: set MECHSEARCH_FCGQCNN to their folder to run this test")
+        pytest.skip(f"no {what}: set {variable} to their folder to run this test")
     return folder
 
 

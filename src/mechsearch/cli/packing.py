@@ -60,8 +60,7 @@ class Pack(Command):
                     f"{self.scores} are of another policy than {self.run_directory}: {name} is "
                     f"{header[name]!r}, not {value!r}"
                 )
-        metrics = self.run_directory / METRICS_FILE
-        lines = read_lines(metrics) if metrics.exists() else ()
+        lines = read_lines(self.run_directory / METRICS_FILE)
         simulated = max((int(line.get("simulated", 0)) for line in lines), default=0)
         return {
             "version": version("mechsearch"),

@@ -88,7 +88,7 @@ def _read(directory: Path) -> dict[str, Any]:
 
 
 def crossings(directory: Path) -> list[str]:
-    """Return what a run went on with instead of what it began with; see `fingerprint.crossed`."""
+    """Return what a run went on with instead of what it began with; see `files.crossed`."""
     history = _read(directory).get(_HISTORY, [])
     return [text for before, now in pairwise(history) for text in crossed(before, now)]
 
