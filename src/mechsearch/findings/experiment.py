@@ -6,6 +6,7 @@ no plan ties together are an experiment too, of the conditions that are found am
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -173,6 +174,17 @@ class Condition:
             metric: Which mean.
             count: Of objects, to take those heaps alone.
         """
+        asked = (name, metric, count)
+        if asked not in self._estimates:
+            self._estimates[asked] = self._estimated(*asked)
+        return self._estimates[asked]
+
+    @cached_property
+    def _estimates(self) -> dict[tuple[str, str, int | None], Estimate | None]:
+        """What was estimated: figures and tables ask for the same."""
+        return {}
+
+    def _estimated(self, name: str, metric: str, count: int | None) -> Estimate | None:
         seeds = self.policies[name]
         present = count is None or all((one.counts == count).any() for one in seeds)
         if not present or not self.measured(metric, name):
