@@ -3,7 +3,8 @@ import pytest
 import torch
 
 from mechsearch.grasp.grasp_view import ImageGrasp, angle_bin
-from mechsearch.grasp.learning.labelling import OUTCOMES, Grasps
+from mechsearch.grasp.learning.grasp_folder import OUTCOMES
+from mechsearch.grasp.learning.labelling import Grasps
 from mechsearch.grasp.learning.metrics import judge
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,

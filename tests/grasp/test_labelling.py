@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from mechsearch.grasp.grasp_view import ImageGrasp, view_of_heap
-from mechsearch.grasp.learning.labelling import (
-    MANIFEST_FILE,
-    OUTCOMES,
-    GraspFolder,
-    LabelConfig,
-    label_grasps,
-    load_grasps,
-    thumbnail,
-)
+from mechsearch.grasp.learning.grasp_folder import MANIFEST_FILE, OUTCOMES, GraspFolder
+from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps, thumbnail
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.sim.lift import Outcome

@@ -21,8 +21,9 @@ from mechsearch.experiments.plan import QUICK, read_plan
 from mechsearch.files import records
 from mechsearch.files import tensors as weights
 from mechsearch.findings.experiment import read_run
-from mechsearch.grasp.learning import labelling
-from mechsearch.grasp.learning.labelling import GraspFolder, Grasps, load_grasps
+from mechsearch.grasp.learning import grasp_folder
+from mechsearch.grasp.learning.grasp_folder import GraspFolder
+from mechsearch.grasp.learning.labelling import Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.meshes.cache import model_from_npz, model_to_npz
@@ -189,7 +190,7 @@ def kinds(config, make_parts, covered, make_box, tmp_path_factory):
             "grasps.json",
             lambda f: GraspFolder(f, {"seed": 1}).add("grasps-00000.npz", grasps),
             load_grasps,
-            (labelling, "_FORMAT"),
+            (grasp_folder, "_FORMAT"),
         ),
         "grasp network": Kind(
             "network.safetensors",

@@ -7,10 +7,10 @@ from mechsearch.grasp.height_map import HeightMap
 from mechsearch.sim.gripper import Gripper
 from mechsearch.types import Array, Floats
 
-_LINES = 1500
+_LINES = 4000
 """Lines through the target that are tried."""
 
-_REFINED = 400
+_REFINED = 1000
 """Of those that the target's outline promises, how many are looked at closely."""
 
 _ACROSS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])

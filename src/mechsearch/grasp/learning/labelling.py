@@ -5,36 +5,31 @@ its grasps are the policy's own angles and depths on its pixels, and a share of 
 that success is not too rare to learn.
 """
 
-import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.files import alone, read_arrays, read_record, write_record, write_whole
+from mechsearch.files import alone
 from mechsearch.grasp.grasp_view import FIELD, GraspView, ImageGrasp, angle_bin, view_of_heap
+from mechsearch.grasp.learning.grasp_folder import (
+    OUTCOMES,
+    GraspFolder,
+    LabelledGrasps,
+    load_folder,
+)
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
-from mechsearch.processes import Progress, map_in_order, silent
+from mechsearch.processes import Progress, silent
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld, Outcome, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
 from mechsearch.types import MechSearchError
-
-_FORMAT = 1
-_PURPOSE = "manifest of a grasp set"
-
-MANIFEST_FILE = "grasps.json"
-"""What a folder of labelled grasps holds, and from what they were made."""
-
-OUTCOMES = tuple(Outcome)
-"""What the outcome numbers of a grasp set mean."""
 
 _LEAST_VISIBLE = 16
 """Pixels of an object from which grasps are proposed on it."""
@@ -44,7 +39,7 @@ _TYPES = (np.float16, np.float32, np.uint8, np.uint8, np.bool_, np.int64, np.str
 
 
 @dataclass(frozen=True, eq=False)
-class Grasps:
+class Grasps(LabelledGrasps):
     """Labelled grasps (n,), and what the network sees of each.
 
     Attributes:
@@ -65,9 +60,6 @@ class Grasps:
     heap: NDArray[np.int64]
     object: NDArray[np.str_]
 
-    def __len__(self) -> int:
-        return len(self.depth)
-
     @property
     def success(self) -> NDArray[np.bool_]:
         """The labels (n,)."""
@@ -78,84 +70,10 @@ class Grasps:
         """How many grasps came to which outcome."""
         return Counter(str(OUTCOMES[number]) for number in self.outcome)
 
-    def where(self, keep: NDArray[Any]) -> "Grasps":
-        """Return some of the grasps, by a mask (n,) or indices."""
-        return Grasps(*(getattr(self, name)[keep] for name in _FIELDS))
-
-    @staticmethod
-    def concatenated(parts: Sequence["Grasps"]) -> "Grasps":
-        """Return all grasps of at least one part."""
-        return Grasps(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS))
-
-
-_FIELDS = tuple(Grasps.__dataclass_fields__)
-
-
-class GraspFolder:
-    """A folder of labelled grasps that is filled shard by shard."""
-
-    def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
-        """Open a folder, new or begun.
-
-        Args:
-            path: The folder.
-            identity: What its grasps are made from: plain JSON.
-
-        Raises:
-            MechSearchError: If the folder holds grasps that were made from something else.
-        """
-        self.path = path
-        self._manifest: dict[str, Any] = {"format": _FORMAT, **identity, "shards": {}}
-        file = path / MANIFEST_FILE
-        if file.exists():
-            found = read_record(file, _PURPOSE, ("format", "shards"))
-            if {**found, "shards": {}} != self._manifest:
-                known = {**self._manifest, "shards": found["shards"]}
-                differing = ", ".join(k for k, v in known.items() if found.get(k) != v)
-                raise MechSearchError(
-                    f"{path} holds grasps made from another {differing}; name another folder"
-                )
-            self._manifest = found
-
-    def has(self, name: str) -> bool:
-        """Return whether a shard is there, whole."""
-        return _whole(self.path / name, self._manifest["shards"].get(name))
-
-    def add(self, name: str, grasps: Grasps) -> None:
-        """Write a shard and enter it into the manifest."""
-        arrays = {field: getattr(grasps, field) for field in _FIELDS}
-        file = self.path / name
-        write_whole(file, lambda to: np.savez_compressed(to, allow_pickle=False, **arrays))
-        self._manifest["shards"][name] = {
-            "sha256": _sha256(file),
-            "grasps": len(grasps),
-            "positive": int(grasps.success.sum()),
-        }
-        write_record(self.path / MANIFEST_FILE, _PURPOSE, self._manifest)
-
 
 def load_grasps(path: Path) -> Grasps:
-    """Return all grasps of a folder.
-
-    Raises:
-        MechSearchError: If there are none, or a shard is missing or damaged.
-    """
-    file = path / MANIFEST_FILE
-    manifest = read_record(file, _PURPOSE, ("format", "shards"))
-    if manifest["format"] != _FORMAT:
-        raise MechSearchError(
-            f"{file} is of labelled grasps of format {manifest['format']}; this version reads "
-            f"{_FORMAT}"
-        )
-    parts = []
-    for name, entry in sorted(manifest["shards"].items()):
-        shard = path / name
-        if not _whole(shard, entry):
-            raise MechSearchError(f"shard {shard} is missing or damaged; label again to replace it")
-        parts.append(Grasps(**read_arrays(shard, "shard of labelled grasps")))
-    if not parts:
-        raise MechSearchError(f"{path} holds no grasps yet")
-    return Grasps.concatenated(parts)
+    """Return all grasps of a folder; see `load_folder`."""
+    return load_folder(path, Grasps)
 
 
 @dataclass(frozen=True)
@@ -222,21 +140,8 @@ def label_grasps(
         heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
         identity = {"config": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION}
         folder = GraspFolder(path, identity)
-        starts = range(0, len(heaps), config.shard)
-        parts = [heaps[start : start + config.shard] for start in starts]
-        shards = {f"grasps-{number:05d}.npz": part for number, part in enumerate(parts)}
-        missing = {name: part for name, part in shards.items() if not folder.has(name)}
-        tasks = list(chain.from_iterable(missing.values()))
-        done = len(heaps) - len(tasks)
-        progress("labelled heaps", done, len(heaps))
-        labelled = map_in_order(partial(_labelled, objects=objects, config=config), tasks, workers)
-        for name, part in missing.items():
-            grasps = []
-            for found in islice(labelled, len(part)):
-                grasps.append(found)
-                done += 1
-                progress("labelled heaps", done, len(heaps))
-            folder.add(name, Grasps.concatenated(grasps))
+        label = partial(_labelled, objects=objects, config=config)
+        folder.fill(heaps, config.shard, label, Grasps, workers, progress)
         return folder
 
 
@@ -280,12 +185,3 @@ def _proposed(
     found = antipodal(view, rng, wanted, gripper) if wanted else []
     yield from ((grasp, True) for grasp in found)
     yield from ((grasp, False) for grasp in uniform(view, rng, config.per_object - len(found)))
-
-
-def _whole(path: Path, entry: Mapping[str, Any] | None) -> bool:
-    return entry is not None and path.is_file() and _sha256(path) == entry["sha256"]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

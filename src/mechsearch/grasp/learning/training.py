@@ -1,7 +1,7 @@
 """Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,9 @@ from mechsearch.files.tensors import (
     save_archive,
 )
 from mechsearch.grasp.grasp_view import ANGLES
+from mechsearch.grasp.learning.grasp_folder import Labelled
 from mechsearch.grasp.learning.labelling import Grasps
-from mechsearch.grasp.learning.metrics import NetworkComparison, judge, paired_gain
+from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, judge, paired_gain
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
@@ -90,31 +91,75 @@ def train_grasp_network(
         MechSearchError: If there are too few heaps, the validation heaps' labels are all alike, or
             the folder holds another training, or another process is at work in it.
     """
+    learn, check = split_by_heap(grasps, config.validation)
+    network = _fresh(learn, config)
+    success = torch.from_numpy(learn.success.astype(np.int64))
+
+    def loss(own: Array, rng: np.random.Generator) -> Tensor:
+        symmetry = rng.integers(8, size=len(own)) * config.turned
+        logits = _logits(network, *turned(learn.relative[own], learn.bin[own], symmetry))
+        return nn.functional.cross_entropy(logits, success[own])
+
+    return fit(
+        network, len(learn), loss, lambda: judge(predict(network, check), check.success),
+        lambda path, meta: save_network(path, network, meta),
+        config, {"grasps": len(grasps)}, folder, progress,
+    )  # fmt: skip
+
+
+def fit(
+    network: nn.Module,
+    count: int,
+    loss: Callable[[Array, np.random.Generator], Tensor],
+    verdict: Callable[[], Verdict],
+    save: Callable[[Path, dict[str, object]], None],
+    config: GraspTrainConfig,
+    data: Mapping[str, Any],
+    folder: Path,
+    progress: Progress = silent,
+) -> list[dict[str, float]]:
+    """Fit a network's weights, or go on; write the best one as `network.safetensors`.
+
+    Args:
+        network: With its first weights.
+        count: Of grasps to learn from.
+        loss: Returns the mean loss of some grasps, by indices, as the network now is.
+        verdict: Judges it on grasps that it does not learn from.
+        save: Writes it to a file, with plain JSON about it.
+        config: How to train; only `epochs` may differ from what a folder was begun with.
+        data: What tells these grasps from others, as plain JSON.
+        folder: For checkpoint and network.
+        progress: Told after each epoch.
+
+    Returns:
+        For each epoch its mean loss and, on the validation heaps, average precision and AUC.
+
+    Raises:
+        MechSearchError: If the folder holds another training, or another process is at work in it.
+    """
     with alone(folder / "training", f"the training {folder}"):
-        learn, check = split_by_heap(grasps, config.validation)
-        network = _fresh(learn, config)
         optimizer = torch.optim.AdamW(
             network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )
-        identity = {**asdict(replace(config, epochs=1)), "grasps": len(grasps)}
+        identity = {**asdict(replace(config, epochs=1)), **data}
         history = _resume(folder / CHECKPOINT_FILE, identity, network, optimizer)
         for epoch in range(len(history), config.epochs):
-            loss = _train(network, optimizer, learn, config, epoch)
-            verdict = judge(predict(network, check), check.success)
-            history.append({"loss": loss, **{name: getattr(verdict, name) for name in _LOGGED}})
+            mean = _train(network, optimizer, count, loss, config, epoch)
+            found = verdict()
+            history.append({"loss": mean, **{name: getattr(found, name) for name in _LOGGED}})
             best = max(row["average_precision"] for row in history)
             if history[-1]["average_precision"] == best:
-                save_network(folder / NETWORK_FILE, network, {"validation": history[-1]})
+                save(folder / NETWORK_FILE, {"validation": history[-1]})
             tensors = prefixed("network", network.state_dict())
             tensors |= prefixed("adam", optimizer_tensors(optimizer))
             meta = {"identity": identity, "history": history}
             save_archive(folder / CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
-            label = f"epochs, loss {loss:.3f}, AP {verdict.average_precision:.3f}, best {best:.3f}"
+            label = f"epochs, loss {mean:.3f}, AP {found.average_precision:.3f}, best {best:.3f}"
             progress(label, epoch + 1, config.epochs)
         return history
 
 
-def split_by_heap(grasps: Grasps, share: float) -> tuple[Grasps, Grasps]:
+def split_by_heap(grasps: Labelled, share: float) -> tuple[Labelled, Labelled]:
     """Return the grasps to learn from and to check on; no heap is in both.
 
     Raises:
@@ -189,9 +234,10 @@ def _fresh(learn: Grasps, config: GraspTrainConfig) -> GraspNetwork:
 
 
 def _train(
-    network: GraspNetwork,
+    network: nn.Module,
     optimizer: torch.optim.Optimizer,
-    learn: Grasps,
+    count: int,
+    loss: Callable[[Array, np.random.Generator], Tensor],
     config: GraspTrainConfig,
     epoch: int,
 ) -> float:
@@ -203,18 +249,15 @@ def _train(
     total = 0.0
     # Of its epoch alone, so that a resumed training is the same training.
     rng = np.random.default_rng([config.seed, epoch])
-    order = rng.permutation(len(learn))
-    success = torch.from_numpy(learn.success.astype(np.int64))
+    order = rng.permutation(count)
     for start in range(0, len(order), config.batch):
         own = order[start : start + config.batch]
-        symmetry = rng.integers(8, size=len(own)) * config.turned
-        logits = _logits(network, *turned(learn.relative[own], learn.bin[own], symmetry))
-        loss = nn.functional.cross_entropy(logits, success[own])
+        found = loss(own, rng)
         optimizer.zero_grad()
-        torch.autograd.backward(loss)
+        torch.autograd.backward(found)
         optimizer.step()
-        total += float(loss.detach()) * len(own)
-    return total / len(learn)
+        total += float(found.detach()) * len(own)
+    return total / count
 
 
 def _logits(network: GraspNetwork, seen: Array, angle: Array) -> Tensor:
@@ -226,7 +269,7 @@ def _logits(network: GraspNetwork, seen: Array, angle: Array) -> Tensor:
 
 
 def _resume(
-    path: Path, identity: dict[str, Any], network: GraspNetwork, optimizer: torch.optim.Optimizer
+    path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
 ) -> list[dict[str, float]]:
     """Take up a checkpoint, if there is one; return the history so far."""
     if not path.exists():
