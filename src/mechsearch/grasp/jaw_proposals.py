@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from mechsearch.grasp.height_map import HeightMap
 from mechsearch.sim.gripper import Gripper
-from mechsearch.types import Array, Floats
+from mechsearch.types import Floats
 
 _LINES = 4000
 """Lines through the target that are tried."""
@@ -24,6 +24,9 @@ _ENGAGED = 0.006
 
 _FOREIGN = 0.05
 """Share of what is between the fingers that need not be seen as the target: an outline's cells."""
+
+_APART, _TURNS = 0.004, 16
+"""Of grasps in one cube of this side [m] and one of so many bins of direction, one is kept."""
 
 
 def propose_jaws(
@@ -58,8 +61,10 @@ def _centred(
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return middles (K, 2) of the target's outline on lines, tip heights, and which fit."""
     count = int(np.ceil(gripper.opening / heights.cell))
-    along = np.arange(-count, count + 1) * heights.cell
-    cells = _cells(heights, place, angle, along, np.zeros(1))[:, 0]
+    steps = np.arange(-count, count + 1)
+    cells = _cells(heights, place, angle, heights.cell * steps.astype(np.float64), np.zeros(1))[
+        :, 0
+    ]
     height, target = heights.height.ravel()[cells], heights.target.ravel()[cells]
     lowest = gripper.clearance
     tip = lowest + share * np.maximum(height[:, count] - _ENGAGED - lowest, 0.0)
@@ -69,7 +74,6 @@ def _centred(
     before = np.argmin(above[:, count::-1], axis=1)
     width = (after + before - 1) * heights.cell
     fits = (after > 0) & (before > 0) & (width <= gripper.opening - 2 * _SPARE)
-    steps = np.arange(-count, count + 1)
     run = (steps < after[:, None]) & (steps > -before[:, None])
     fits &= (run & ~target).sum(axis=1) <= _FOREIGN * (after + before - 1)
     shift = (after - before) / 2 * heights.cell
@@ -113,21 +117,19 @@ def _refined(
     first, last = np.argmax(pads, axis=2), np.argmax(pads[:, :, ::-1], axis=2)
     slant = np.maximum(np.abs(np.diff(first, axis=1)), np.abs(np.diff(last, axis=1)))[:, 0]
     slope = slant * (inner[1] - inner[0]) / (gripper.width / 2)
-    good = np.flatnonzero(alone & pads.any(axis=2).all(axis=1) & (slope <= 1.2 * gripper.friction))
+    facing = pads.any(axis=-1).all(axis=-1) & (slope <= 1.2 * gripper.friction)
+    good = np.flatnonzero(alone & facing)
     good = good[rng.permutation(len(good))]
     which, tips = which[good], tips[good]
     yaw = angle[which]
     poses = np.zeros((len(good), 7))
     poses[:, :2], poses[:, 2] = centre[which], tips + gripper.reach
     poses[:, 3], poses[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
-    kinds = np.column_stack([poses[:, :2] / 0.004, poses[:, 2] / 0.004, yaw / (np.pi / 16)])
-    return poses[first_of_each(np.rint(kinds).astype(np.int64))[:count]]
-
-
-def first_of_each(kinds: Array) -> NDArray[np.intp]:
-    """Return the index of the first of each kind of rows (n, k), in their order."""
+    # Closing directions are alike modulo a half turn.
+    bins = np.rint(yaw / (np.pi / _TURNS)) % _TURNS
+    kinds = np.column_stack([np.rint(poses[:, :3] / _APART), bins])
     _, first = np.unique(kinds, axis=0, return_index=True)
-    return np.sort(first)
+    return poses[np.sort(first)[:count]]
 
 
 def _cells(

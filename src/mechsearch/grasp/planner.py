@@ -43,7 +43,8 @@ class RatedGrasps:
     def apart(self, count: int) -> "RatedGrasps":
         """Return the best of them of which no two are alike."""
         closing = rotation_from_quaternion(self.poses[:, 3:])[:, :, 0]
-        left, chosen = np.ones(len(self), np.bool_), []
+        left = np.ones(len(self), np.bool_)
+        chosen: list[int] = []
         while left.any() and len(chosen) < count:
             first = int(np.argmax(left))
             chosen.append(first)

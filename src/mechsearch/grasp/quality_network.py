@@ -1,4 +1,4 @@
-"""A grasp quality network: how likely a grasp succeeds, from what is seen in the gripper's frame."""
+"""A grasp quality network: how likely a grasp succeeds, seen in the gripper's own frame."""
 
 from pathlib import Path
 
@@ -127,7 +127,7 @@ def mirrored(
         own = np.flatnonzero(symmetry & bit)
         for image in images:
             image[own] = np.flip(image[own], axis)
-        values[np.ix_(own, signed)] *= -1
+        values[own[:, None], signed] *= -1
     own = np.flatnonzero(symmetry & 4)
     for image in images:
         if len(own):

@@ -1,4 +1,4 @@
-"""Try a gripper's grasps in many states of many heaps: the set that its quality network learns from.
+"""Try a gripper's grasps in many states of heaps: the set that its quality network learns from.
 
 Every visible object of every state is the target in turn. In the first round its grasps are random
 proposals; later a network picks a share of them, so that its own confident failures are among what
@@ -6,11 +6,9 @@ it learns from next.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-
 
 import numpy as np
 import torch
@@ -36,7 +34,7 @@ from mechsearch.sim.gripper import gripper_named
 from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import Outcome, Perturbation, perturbed
 from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Floats, MechSearchError
 
 _SUCCESS, _FAILURE = OUTCOMES.index(Outcome.SUCCESS), OUTCOMES.index(Outcome.FAILURE)
 
@@ -72,17 +70,17 @@ class Trials(LabelledGrasps):
     @property
     def won(self) -> NDArray[np.bool_]:
         """Whether each execution succeeded (n, 2)."""
-        return np.stack([self.planned, self.noisy], axis=1) == _SUCCESS
+        return np.asarray(np.stack([self.planned, self.noisy], axis=1) == _SUCCESS)
 
     @property
     def success(self) -> Floats:
         """The labels (n,): shares of the executions that succeed."""
-        return self.won.mean(axis=1)
+        return np.asarray(self.won.mean(axis=1))
 
     @property
     def sound(self) -> NDArray[np.bool_]:
         """Which grasps (n,) no failure of the physics makes worthless."""
-        return (self.planned != _FAILURE) & (self.noisy != _FAILURE)
+        return np.asarray((self.planned != _FAILURE) & (self.noisy != _FAILURE))
 
     @property
     def seen(self) -> Aligned:
@@ -234,9 +232,7 @@ def _chosen(
         best = rate_grasps(rater, heights, found).apart(round(config.best * config.per_object))
     drawn = found[: config.per_object - len(best)]
     unrated = np.full(len(drawn), np.nan)
-    return RatedGrasps(
-        np.concatenate([best.poses, drawn]), np.concatenate([best.quality, unrated])
-    )
+    return RatedGrasps(np.concatenate([best.poses, drawn]), np.concatenate([best.quality, unrated]))
 
 
 def _nothing(rows: int, columns: int) -> Trials:
