@@ -36,6 +36,7 @@ class Outcome(StrEnum):
     WRONG_OBJECT = "wrong object"
     TWO_OBJECTS = "two objects"
     FAILURE = "failure"
+    NO_SEAL = "no seal"
 
 
 @dataclass(frozen=True)
@@ -177,8 +178,7 @@ class LiftWorld:
         palm_pose = place.copy()
         palm_pose[:3] = apply(transform_from_pose(place), self.gripper.palm_place)
         fingers = [
-            np.array([*self._data.xpos[body], *self._data.xquat[body]])
-            for body in self._bodies[1:]
+            np.array([*self._data.xpos[body], *self._data.xquat[body]]) for body in self._bodies[1:]
         ]
         return np.stack([palm_pose, *fingers])
 
@@ -192,7 +192,7 @@ class LiftWorld:
         )
         data.qpos[: 7 * self.count] = poses.ravel()
         boxes = self._outlines.boxes(poses)
-        self._jaws[0] = start_height(grasp, boxes, self.gripper, self.config.headroom)
+        self._jaws[0] = start_height(grasp, boxes, self.gripper.boxes, self.config.headroom)
         data.ctrl[:] = self._jaws
         # What rests may sleep after the first step, until something touches it.
         if self.config.physics.sleep_speed:
@@ -200,24 +200,23 @@ class LiftWorld:
 
 
 def start_height(
-    grasp: Floats, boxes: tuple[Floats, Floats], gripper: Gripper, headroom: float
+    grasp: Floats,
+    boxes: tuple[Floats, Floats],
+    parts: Sequence[tuple[Floats, Floats]],
+    headroom: float,
 ) -> float:
     """Return how far above a grasp the open gripper cannot touch anything yet [m].
 
     Args:
         grasp: Pose (7,) of the gripper's frame.
         boxes: Lowest and highest corners (B, 3) [m] of what it may meet.
-        gripper: Its geometry.
+        parts: Half the sides and the centre (3,) of each part of the gripper [m].
         headroom: Left between the fingers and what they may meet first [m].
     """
     low, high = boxes
     rotation = rotation_from_quaternion(grasp[3:])
     needed = 0.0
-    for half, place in (
-        (gripper.finger_box, gripper.finger_place),
-        (gripper.finger_box, gripper.finger_place * [-1.0, 1.0, 1.0]),
-        (gripper.palm_box, gripper.palm_place),
-    ):
+    for half, place in parts:
         centre = grasp[:3] + rotation @ place
         extent = np.abs(rotation) @ half + 0.002
         # Along a tilted approach the body also moves sideways.
@@ -355,10 +354,8 @@ class LiftTest:
 
     def _close(self) -> None:
         steps = self._config.steps(self._config.closing)
-        # Beyond contact of the fingers, so that even what is thin feels the whole force.
-        beyond = self._gripper.opening / 2 + 0.012
         for step in range(steps):
-            self._step("close", 0.0, beyond * min(1.0, 1.25 * (step + 1) / steps))
+            self._step("close", 0.0, self._gripper.closed * min(1.0, 1.25 * (step + 1) / steps))
 
     def _lift(self) -> bool:
         """Lift; return False as soon as the fingers hold nothing."""
