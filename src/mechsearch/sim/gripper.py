@@ -129,8 +129,10 @@ class SuctionCup:
 
     A seal needs a surface all around the lip that is flat to within `roughness` of a plane, tilted
     by at most `tilt`. It holds as long as the lip is pressed on everywhere: of the vacuum's force
-    F and a load's pull P, what is left, F - P, is spread around the lip, and a bending moment above
-    (F - P) radius / 2 lifts its weaker side; shear is held by friction.
+    F and a load's pull P, what is left, F - P, presses the lip on. A bending moment of
+    (F - P) radius moves that pressure to the lip's edge and opens the other side; friction holds
+    shear and twist. Vacuum is for gentle motion (makers ask for a safety factor of two), so it is
+    shaken at half the frequency of jaws.
 
     Attributes:
         radius: Of the lip [m].

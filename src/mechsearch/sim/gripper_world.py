@@ -417,6 +417,7 @@ class _CupRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, cup)
         self.gripper = cup
+        self.config = replace(self.config, frequency=self.config.frequency / 2)
         model = self._model
         self._lip = model.body(f"lip{index}").id
         self._lip_geom = model.geom(f"lip{index}").id
@@ -438,8 +439,9 @@ class _CupRig(_Rig):
 
     @property
     def load(self) -> Floats:
-        """Force [N] and torque [N m] on the lip (6,), along its own axes."""
-        return np.array(self._data.sensordata[self._load])
+        """Force [N] and torque [N m] of the object on the lip (6,), along the lip's axes."""
+        # The engine tells what the tube puts on the lip.
+        return -np.array(self._data.sensordata[self._load])
 
     def seal(self, number: int) -> bool:
         """Hold an object by vacuum if it closes the cup all around; return whether it does."""
