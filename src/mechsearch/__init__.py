@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, make_env
+    from mechsearch.env.heap_env import HeapEnv, make_env
     from mechsearch.env.reward import RewardConfig
+    from mechsearch.env.task import HeapEnvConfig, TaskConfig
     from mechsearch.env.vector.vector_env import VectorHeapEnv, make_vector_env
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
 _PLACES = {
     "GenerateConfig": "heaps.generate:GenerateConfig",
     "HeapEnv": "env.heap_env:HeapEnv",
-    "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
+    "HeapEnvConfig": "env.task:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
     "RewardConfig": "env.reward:RewardConfig",
-    "TaskConfig": "env.heap_env:TaskConfig",
+    "TaskConfig": "env.task:TaskConfig",
     "VectorHeapEnv": "env.vector.vector_env:VectorHeapEnv",
     "evaluate": "evaluation.rollout:evaluate",
     "generate": "heaps.generate:generate",

@@ -12,7 +12,7 @@ import tyro
 
 from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
