@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.grasp.grasp_view import angle_bin, depth_bins, view_of_heap
-from mechsearch.grasp.learning.proposals import antipodal, uniform
+from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.lift import LiftWorld, Outcome
 

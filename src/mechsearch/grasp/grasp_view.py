@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,9 @@ METRIC_HEIGHT = 0.8
 
 _FOCAL = 552.5
 """Of the sensor which the released network was trained for [px]."""
+
+_FIXED_SIZE = 512
+"""Side of the fixed camera's image [px]."""
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,67 @@ def metric_camera(above: Array, radius: float = 0.3) -> Camera:
     return Camera(size, size, _FOCAL, _FOCAL, centre, centre, pose)
 
 
+@cache
+def grasp_camera() -> Camera:
+    """Return the fixed camera over the middle of the table, 0.8 m high, that looks straight down.
+
+    Image columns run along x, rows along -y. It sees 0.74 m of the table, in 512 x 512 px.
+    """
+    pose = look_at((0.0, 0.0, METRIC_HEIGHT), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    centre = (_FIXED_SIZE - 1) / 2
+    return Camera(_FIXED_SIZE, _FIXED_SIZE, _FOCAL, _FOCAL, centre, centre, pose)
+
+
+def grasp_renderer(models: Sequence[ObjectModel]) -> Renderer:
+    """Return what renders these objects for grasping; to build it costs more than an image."""
+    # An edge of the table would look like a drop that no gripper needs to heed.
+    return Renderer(models, table_half=100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class GraspScene:
+    """What the fixed camera sees of a heap, the robot out of the way.
+
+    Attributes:
+        depth: Along the optical axis (512, 512) float32 [m].
+        segments: What each pixel shows (512, 512) uint8: 0 the table, 1 the target, from 2 on the
+            other visible objects.
+        objects: Which object each segment is, from segment 1 on; no policy is told.
+    """
+
+    depth: NDArray[np.float32]
+    segments: NDArray[np.uint8]
+    objects: tuple[int, ...]
+
+
+def see_heap(renderer: Renderer, poses: Array, target: int) -> GraspScene:
+    """Return what the fixed camera sees of objects.
+
+    Args:
+        renderer: Of the objects, from `grasp_renderer`.
+        poses: Of theirs (N, 7).
+        target: Its index. It has segment 1 even where no pixel of it is visible.
+    """
+    frame = renderer.frame(grasp_camera(), poses)
+    shown = np.unique(frame.ids[frame.ids >= 0]).tolist()
+    objects = (target, *(index for index in shown if index != target))
+    number = np.zeros(len(poses) + 1, np.uint8)
+    number[list(objects)] = np.arange(1, len(objects) + 1)
+    # The table's id is -1, so it reads the last number, which is 0.
+    return GraspScene(frame.depth, number[frame.ids], objects)
+
+
+def segment_view(depth: NDArray[np.float32], segments: Array, number: int = 1) -> GraspView:
+    """Return the view of one segment of a scene.
+
+    Args:
+        depth: Of the fixed camera (512, 512) [m].
+        segments: As in a `GraspScene` (512, 512).
+        number: Of the segment that is to be grasped; 1 is the target.
+    """
+    return GraspView(depth, np.asarray(segments == number), grasp_camera(), METRIC_HEIGHT)
+
+
 def view_of_heap(models: Sequence[ObjectModel], poses: Array, target: int) -> GraspView:
     """Return the noise-free metric view of objects at rest, the robot out of sight.
 
@@ -210,6 +275,5 @@ def view_of_heap(models: Sequence[ObjectModel], poses: Array, target: int) -> Gr
         target: Its index; the camera looks down on its centre.
     """
     camera = metric_camera(poses[target], models[target].radius)
-    # An edge of the table would look like a drop that no gripper needs to heed.
-    frame = Renderer(models, table_half=100.0).frame(camera, poses)
+    frame = grasp_renderer(models).frame(camera, poses)
     return GraspView(frame.depth, frame.modal(target), camera, METRIC_HEIGHT)

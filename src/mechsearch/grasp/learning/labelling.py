@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mechsearch.files import alone, read_arrays, read_record, write_record, write_whole
 from mechsearch.grasp.grasp_view import FIELD, GraspView, ImageGrasp, angle_bin, view_of_heap
-from mechsearch.grasp.learning.proposals import antipodal, uniform
+from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim.gripper import Gripper

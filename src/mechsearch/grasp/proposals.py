@@ -1,4 +1,4 @@
-"""Grasps to learn from, proposed without any network: uniformly, and where geometry promises."""
+"""Grasps proposed without any network: uniformly, and where geometry promises."""
 
 from dataclasses import dataclass
 
