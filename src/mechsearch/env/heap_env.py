@@ -1,7 +1,6 @@
 """The decision process: nudge a heap until its target is uncovered (paper, section III-A)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +8,12 @@ import gymnasium
 import numpy as np
 
 from mechsearch.env.reward import reward_of
-from mechsearch.env.scene import HeapScene, displacement
+from mechsearch.env.scene import HeapScene, choose_heaps, displacement
 from mechsearch.env.scene import HeapState as HeapState
-from mechsearch.env.task import HeapEnvConfig
+from mechsearch.env.task import HeapEnvConfig, with_settings
 from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
-from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.sim.scene import pusher_model
 from mechsearch.sim.world import World
@@ -191,13 +190,6 @@ def make_env(
     Raises:
         MechSearchError: If a name or setting is unknown, or heaps and objects do not fit.
     """
-    file = embedded_file(condition) if heaps is None else Path(heaps)
-    heap_set, object_set = open_heaps(file, objects)
-    chosen = [heap_set.heaps[i] for i in heap_set.choose(split)]
-    base = config or HeapEnvConfig(camera=heap_set.camera)
-    unknown = [key for key in settings if key not in base.__dataclass_fields__]
-    if unknown:
-        raise MechSearchError(
-            f"unknown setting {unknown[0]!r}; choose among {', '.join(base.__dataclass_fields__)}"
-        )
-    return HeapEnv(chosen, object_set, replace(base, **settings), render_mode)
+    chosen, object_set, camera = choose_heaps(condition, heaps, objects, split)
+    task = with_settings(config or HeapEnvConfig(camera=camera), settings)
+    return HeapEnv(chosen, object_set, task, render_mode)

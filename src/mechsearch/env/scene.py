@@ -4,6 +4,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from mechsearch.camera import preset
 from mechsearch.env.task import HeapEnvConfig
 from mechsearch.geometry import cap_length
-from mechsearch.heaps.dataset import Heap
+from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
@@ -48,13 +49,15 @@ class HeapScene(Generic[W]):
         observer: Makes the observations, and knows their space.
         camera: From which occlusion is measured.
         world: The physics.
-        poses: Of all objects (N, 7); those that are gone keep their last ones.
+        renderer: Of its objects and the end effector.
+        poses: Of all objects (N, 7); those that left the table keep their last ones.
         present: Which objects are still on the table (N,).
         occlusion: Of the target, in [0, 1].
         moved: How far the last action has moved each object (N,) [m].
     """
 
     world: W
+    renderer: Renderer
     poses: Floats
     present: Array
     occlusion: float
@@ -169,7 +172,7 @@ class HeapScene(Generic[W]):
         """Push towards a point (3,) [m]; return the name of a simulator failure, or None."""
         if self.world.push(goal):
             return self.look()
-        self.moved = np.zeros(len(self.poses))
+        self.stay()
         return None
 
     def look(self, stowed: Sequence[int] = ()) -> str | None:
@@ -189,19 +192,25 @@ class HeapScene(Generic[W]):
         way = self.poses[:, :3] - before[:, :3]
         self.moved = np.sqrt((way * way).sum(axis=1)) * present
         self.moved[list(stowed)] = 0.0
-        if (self.poses != before).any():
+        if self.heap.target in stowed:
+            self.occlusion = 0.0
+        elif (self.poses != before).any():
             self.occlusion = self._measure_occlusion()
         return None
 
     def go_back(self) -> None:
-        """Return to the state before an action whose physics failed: nothing has moved."""
+        """Return to the state before an action whose physics failed."""
         self.world.reset(self.poses)
+        self.stay()
+
+    def stay(self) -> None:
+        """Note that nothing has moved in the last action."""
         self.moved = np.zeros(len(self.poses))
 
     def frame(self, size: int, colour: bool) -> Frame:
         """Return what the task's camera sees on an image of `size` [px]."""
         camera = preset(self._config.camera, size)
-        return self._renderer.frame(camera, self.poses, self._effector_pose(), colour)
+        return self.renderer.frame(camera, self.poses, self._effector_pose(), colour)
 
     def observe(self) -> dict[str, Array]:
         """Return a fresh observation."""
@@ -254,7 +263,7 @@ class HeapScene(Generic[W]):
             kept[index] = self._world_of(models), renderer
             if len(kept) > _WORLDS_KEPT:
                 kept.popitem(last=False)
-        self.world, self._renderer = kept[index]
+        self.world, self.renderer = kept[index]
 
     def _sample_start(self, rng: np.random.Generator) -> Floats:
         """Return a contact-free position, uniform over the workspace, away from the target."""
@@ -295,7 +304,7 @@ class HeapScene(Generic[W]):
     def _measure_occlusion(self) -> float:
         if not self.present[self.heap.target]:
             return 1.0
-        return self._renderer.occlusion(
+        return self.renderer.occlusion(
             self.camera, self.poses, self.heap.target, self.present, self._effector_pose()
         )
 
@@ -316,3 +325,22 @@ def displacement(action: Array) -> Floats:
     if not all(map(isfinite, numbers)):
         raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
     return cap_length([min(max(n, -1.0), 1.0) * ACTION_LENGTH for n in numbers], ACTION_LENGTH)
+
+
+def choose_heaps(
+    condition: str, heaps: str | Path | None, objects: str, split: str
+) -> tuple[list[Heap], ObjectSet, str]:
+    """Return the heaps of a split, their objects, and the camera that they were made for.
+
+    Args:
+        condition: "single" or "dual"; chooses among the embedded heaps.
+        heaps: Heap set file; None takes the embedded heaps of household objects.
+        objects: Object set that the heaps were made with.
+        split: "held-out", "train" or "all" of the heaps.
+
+    Raises:
+        MechSearchError: If a name is unknown, or heaps and objects do not fit.
+    """
+    file = embedded_file(condition) if heaps is None else Path(heaps)
+    heap_set, object_set = open_heaps(file, objects)
+    return [heap_set.heaps[i] for i in heap_set.choose(split)], object_set, heap_set.camera

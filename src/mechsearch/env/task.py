@@ -1,7 +1,7 @@
 """The task as a record: what is seen, rewarded and possible."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import inf
 from operator import attrgetter
 from typing import Any, Self, TypeVar
@@ -22,6 +22,7 @@ _ABOVE_0 = (
     "physics.time_step", "physics.deep_penetration", "physics.explosion_speed", "workspace.half",
     "workspace.table_half", "pusher.radius", "pusher.mass", "pusher.stiffness", "pusher.force",
 )  # fmt: skip
+_SHOWN = ("keys", "privileged", "max_clutter")
 _MAY_BE_INFINITE = ("physics.clearance", "physics.deep_penetration", "physics.explosion_speed")
 
 
@@ -91,7 +92,8 @@ class HeapEnvConfig(TaskConfig):
     @classmethod
     def of_task(cls, task: TaskConfig, keys: Sequence[str], privileged: bool = False) -> Self:
         """Return the configuration that shows some keys of a task."""
-        shared = {entry.name: getattr(task, entry.name) for entry in fields(TaskConfig)}
+        names = [f.name for f in fields(cls) if f.name not in _SHOWN and hasattr(task, f.name)]
+        shared = {name: getattr(task, name) for name in names}
         return cls(**shared, keys=tuple(keys), privileged=privileged)
 
     @property
@@ -125,3 +127,16 @@ def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
             )
         data = {**data, "reward": {k: v for k, v in reward.items() if k != "least_occlusion"}}
     return record_from_json(kind, data)
+
+
+def with_settings(task: Task, settings: Mapping[str, Any]) -> Task:
+    """Return a task with some fields replaced.
+
+    Raises:
+        MechSearchError: If there is no such field.
+    """
+    known = [entry.name for entry in fields(task)]
+    unknown = [key for key in settings if key not in known]
+    if unknown:
+        raise MechSearchError(f"unknown setting {unknown[0]!r}; choose among {', '.join(known)}")
+    return replace(task, **settings)

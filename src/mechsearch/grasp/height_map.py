@@ -88,7 +88,9 @@ def height_map(view: GraspView) -> HeightMap:
     world = [r[0] * x + r[1] * y + r[2] * depth + r[3] for r in pose[:3]]
     own = [axis[mask] for axis in world[:2]]
     corner = np.array([axis.min() - _MARGIN for axis in own], np.float64)
-    shape = [int((axis.max() + _MARGIN - low) / CELL) + 2 for axis, low in zip(own, corner, strict=True)]
+    shape = [
+        int((axis.max() + _MARGIN - low) / CELL) + 2 for axis, low in zip(own, corner, strict=True)
+    ]
     i, j = (np.rint((axis - low) / CELL).astype(np.int32)
             for axis, low in zip(world[:2], corner, strict=True))  # fmt: skip
     inside = (i > 0) & (j > 0) & (i < shape[0] - 1) & (j < shape[1] - 1)

@@ -51,8 +51,6 @@ def propose_suction(
     good = np.flatnonzero((rough <= _ROUGH) & (upright >= np.cos(_STEEPEST)))[:count]
     # The shortest turn that brings the z axis to the normal.
     normal = np.column_stack([-slope, np.ones(len(slope))])[good] * upright[good, None]
-    turn = np.column_stack(
-        [1.0 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(len(good))]
-    )
+    turn = np.column_stack([1.0 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(len(good))])
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     return np.column_stack([heights.place(own[good]), middle[good], turn])
