@@ -73,7 +73,7 @@ def test_no_box_is_nearer_than_the_clearance_up_to_the_step_that_is_returned(box
         level = (tip[2] < high[:, 2] + clearance) & (tip[2] + pusher.length > low[:, 2] - clearance)
         return bool((level & (np.hypot(*beside.T) < pusher.radius + clearance)).any())
 
-    last = clear_steps(path, (low, high), pusher, clearance)
+    last = clear_steps(path, (low, high), pusher.outline[0], clearance)
     assert not any(near(tip) for tip in path[1 : last + 1])
     if last < len(path) - 1:
         assert near(path[last]) or near(path[last + 1])

@@ -1,7 +1,8 @@
-"""A floating parallel-jaw gripper: a palm that moves along its approach, and two coupled fingers.
+"""Grippers: parallel jaws, of a palm and two coupled fingers, and a suction cup; presets by name.
 
-The gripper's frame has its origin at the grasp centre, x along the closing direction and z against
-the approach, so a gripper that points straight down has its z axis up.
+A gripper's frame has its origin at the grasp centre, x along the closing direction and z against
+the approach, so a gripper that points straight down has its z axis up. Of a suction cup, the grasp
+centre is the middle of its lip.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,21 @@ from mechsearch.types import Floats, MechSearchError
 
 # With the engine's defaults the squeeze drives the light fingers a centimetre past their stops.
 _FIRM_TIME, _FIRM = [0.01, 1.0], [0.99, 0.999, 0.0005, 0.5, 2.0]
+
+
+_SIDES = "left", "right"
+
+ARM_STIFFNESS = 20000.0
+"""Of what carries a gripper that travels, along each axis [N/m]."""
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright part of an end effector, its heights above the lowest point [m]."""
+
+    radius: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -35,6 +51,7 @@ class Gripper:
         mass: Of the palm [kg].
         finger_mass: Of each finger [kg].
         friction: Sliding coefficient between fingers and objects.
+        closing: Time that the fingers take to close [s].
     """
 
     opening: float = 0.056
@@ -49,6 +66,7 @@ class Gripper:
     mass: float = 0.5
     finger_mass: float = 0.05
     friction: float = 0.5
+    closing: float = 0.22
 
     def __post_init__(self) -> None:
         if not 0.01 <= self.opening <= 0.2:
@@ -76,6 +94,26 @@ class Gripper:
         """Centre (3,) of the palm [m]."""
         return np.array([0.0, 0.0, self.length - self.reach + self.palm_box[2]])
 
+    @property
+    def boxes(self) -> tuple[tuple[Floats, Floats], ...]:
+        """Half the sides and the centre (3,) of each part of the open gripper [m]."""
+        mirrored = self.finger_place * [-1.0, 1.0, 1.0]
+        fingers = (self.finger_box, self.finger_place), (self.finger_box, mirrored)
+        return (*fingers, (self.palm_box, self.palm_place))
+
+    @property
+    def closed(self) -> float:
+        """Travel of a finger [m] beyond the other, so that even what is thin feels all force."""
+        return self.opening / 2 + 0.012
+
+    @property
+    def outline(self) -> tuple[Cylinder, ...]:
+        """What the closed jaws fill, from the tips upwards."""
+        fingers = float(np.hypot(self.thickness, self.width / 2))
+        palm = float(np.hypot(*self.palm_box[:2]))
+        top = self.length + 2 * float(self.palm_box[2])
+        return Cylinder(fingers, 0.0, self.length), Cylinder(palm, self.length, top)
+
     def models(self) -> list[ObjectModel]:
         """Return palm and both fingers for rendering, each about its own centre."""
         return [
@@ -85,9 +123,104 @@ class Gripper:
         ]
 
 
+@dataclass(frozen=True)
+class SuctionCup:
+    """A vacuum cup at the end of a tube.
+
+    A seal needs a surface all around the lip that is flat to within `roughness` of a plane, tilted
+    by at most `tilt`. It holds as long as the lip is pressed on everywhere: of the vacuum's force
+    F and a load's pull P, what is left, F - P, is spread around the lip, and a bending moment above
+    (F - P) radius / 2 lifts its weaker side; shear is held by friction.
+
+    Attributes:
+        radius: Of the lip [m].
+        vacuum: Below the pressure around [Pa].
+        roughness: Largest range of distances from a plane along the lip [m].
+        tilt: Largest angle between the surface's normal and the cup's axis [rad].
+        stroke: By which the bellows give way [m].
+        friction: Sliding coefficient of the lip.
+        tube: Radius of the tube [m].
+        length: Of cup and tube [m].
+        press: Force with which it is pressed on; the largest along each axis while pushing [N].
+        pull: Largest force of what carries it [N].
+        mass: Of cup and tube [kg].
+    """
+
+    radius: float = 0.01
+    vacuum: float = 60e3
+    roughness: float = 0.0015
+    tilt: float = float(np.deg2rad(20.0))
+    stroke: float = 0.008
+    friction: float = 0.5
+    tube: float = 0.008
+    length: float = 0.15
+    press: float = 30.0
+    pull: float = 100.0
+    mass: float = 0.3
+
+    @property
+    def force(self) -> float:
+        """With which the vacuum holds a load [N]."""
+        return self.vacuum * float(np.pi) * self.radius**2
+
+    @property
+    def reach(self) -> float:
+        """How far the cup's lowest point is beyond the grasp centre [m]."""
+        return 0.0
+
+    @property
+    def boxes(self) -> tuple[tuple[Floats, Floats], ...]:
+        """Half the sides and the centre (3,) of what holds cup and tube [m]."""
+        half = np.array([self.radius, self.radius, self.length / 2])
+        return ((half, np.array([0.0, 0.0, self.length / 2])),)
+
+    @property
+    def outline(self) -> tuple[Cylinder, ...]:
+        """What cup and tube fill, from the lip upwards."""
+        return (Cylinder(self.radius, 0.0, self.length),)
+
+    def models(self) -> list[ObjectModel]:
+        """Return lip and tube for rendering, each about its own centre."""
+        lip = trimesh.creation.cylinder(self.radius, 0.004, sections=24)
+        tube = trimesh.creation.cylinder(self.tube, self.length - 0.004, sections=24)
+        return [
+            _mesh_model("lip", lip, (150, 60, 50)),
+            _mesh_model("tube", tube, (84, 88, 98)),
+        ]
+
+
+AnyGripper = Gripper | SuctionCup
+
+GRIPPERS: dict[str, AnyGripper] = {
+    "jaws-56": Gripper(),
+    # Opening, force and speed as in the data sheet of a common adaptive gripper: 85 mm, 20 to
+    # 235 N, at most 150 mm/s between the fingers; pads 22 mm wide.
+    "jaws-85": Gripper(
+        opening=0.085, thickness=0.008, width=0.022, length=0.09, squeeze=60.0, mass=0.9,
+        closing=0.57,
+    ),
+    "suction": SuctionCup(),
+}  # fmt: skip
+"""Grippers by name; the published network knows the jaws of 56 mm."""
+
+
+def gripper_named(name: str) -> AnyGripper:
+    """Return a gripper.
+
+    Raises:
+        MechSearchError: If there is none of that name.
+    """
+    if name not in GRIPPERS:
+        raise MechSearchError(f"unknown gripper {name!r}; choose one of {', '.join(GRIPPERS)}")
+    return GRIPPERS[name]
+
+
 def _box_model(name: str, half: Floats, colour: tuple[int, int, int]) -> ObjectModel:
-    box = trimesh.creation.box(2 * half)
-    vertices, faces = np.array(box.vertices, np.float64), np.array(box.faces, np.int32)
+    return _mesh_model(name, trimesh.creation.box(2 * half), colour)
+
+
+def _mesh_model(name: str, mesh: trimesh.Trimesh, colour: tuple[int, int, int]) -> ObjectModel:
+    vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32)
     texels = np.full((len(faces), 1, 3), colour, np.uint8)
     return ObjectModel(
         name, "robot", vertices, faces, texels, (vertices,), 1.0, np.eye(3), 0.5, 0.0
@@ -110,25 +243,136 @@ def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, touches: int, table: int)
     stiffness = 5000.0
     add_servo(spec, "approach", stiffness, gripper.mass, (-gripper.press, gripper.pull))
     _add_box(palm, "palm", gripper.palm_box, gripper.palm_place, gripper, touches | table, touches)
-    for i, side in enumerate((1.0, -1.0)):
-        finger = palm.add_body()
-        finger.name = f"finger{i}"
-        finger.pos = gripper.finger_place * [side, 1.0, 1.0]
-        set_inertia(finger, gripper.finger_mass)
-        add_slide(finger, f"finger{i}", (-side, 0.0, 0.0), (0.0, gripper.opening / 2))
-        limits = (-gripper.squeeze, gripper.squeeze)
-        add_servo(spec, f"finger{i}", 2000.0, gripper.finger_mass, limits)
+    fingers = "finger0", "finger1"
+    for name, side in zip(fingers, (1.0, -1.0), strict=True):
         bits = touches | table, touches
-        _add_box(finger, f"finger{i}", gripper.finger_box, np.zeros(3), gripper, *bits)
+        _add_finger(spec, palm, name, side, gripper.finger_place, gripper, bits)
+    _couple(spec, fingers)
+
+
+def _add_finger(
+    spec: mujoco.MjSpec,
+    palm: mujoco.MjsBody,
+    name: str,
+    side: float,
+    place: Floats,
+    gripper: Gripper,
+    bits: tuple[int, int],
+) -> None:
+    finger = palm.add_body()
+    finger.name = name
+    finger.pos = place * [side, 1.0, 1.0]
+    set_inertia(finger, gripper.finger_mass)
+    add_slide(finger, name, (-side, 0.0, 0.0), (0.0, gripper.opening / 2))
+    limits = (-gripper.squeeze, gripper.squeeze)
+    add_servo(spec, name, 2000.0, gripper.finger_mass, limits)
+    _add_box(finger, name, gripper.finger_box, np.zeros(3), gripper, *bits)
+
+
+def _couple(spec: mujoco.MjSpec, fingers: tuple[str, str]) -> None:
+    """Let both fingers travel alike, as one motor drives them."""
     exclusion = spec.add_exclude()
-    exclusion.bodyname1, exclusion.bodyname2 = "finger0", "finger1"
-    # Both fingers travel alike, as one motor drives them.
+    exclusion.bodyname1, exclusion.bodyname2 = fingers
     coupling = spec.add_equality()
     coupling.type = mujoco.mjtEq.mjEQ_JOINT
     coupling.objtype = mujoco.mjtObj.mjOBJ_JOINT
-    coupling.name1, coupling.name2 = "finger0", "finger1"
+    coupling.name1, coupling.name2 = fingers
     coupling.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
     coupling.solref, coupling.solimp = _FIRM_TIME, _FIRM
+
+
+def add_travelling_gripper(
+    spec: mujoco.MjSpec, index: int, gripper: Gripper, touches: int, table: int
+) -> None:
+    """Add a gripper that travels: three slides of its tips, then one for each finger.
+
+    Its orientation is that of the body "wrist" and its number, which no joint turns.
+
+    Args:
+        spec: The scene.
+        index: Number of the gripper, which ends the names of all its parts.
+        gripper: Its geometry and control.
+        touches: Collision bit of the objects.
+        table: Collision bit of the table.
+    """
+    wrist = _add_arm(spec, index, gripper.mass + 2 * gripper.finger_mass, gripper.press)
+    set_inertia(wrist, gripper.mass)
+    tips = np.array([0.0, 0.0, gripper.reach])
+    bits = touches | table, touches
+    _add_box(wrist, f"palm{index}", gripper.palm_box, gripper.palm_place + tips, gripper, *bits)
+    fingers = f"finger{index}{_SIDES[0]}", f"finger{index}{_SIDES[1]}"
+    for name, side in zip(fingers, (1.0, -1.0), strict=True):
+        _add_finger(spec, wrist, name, side, gripper.finger_place + tips, gripper, bits)
+    _couple(spec, fingers)
+
+
+def close_jaws(model: mujoco.MjModel, data: mujoco.MjData, index: int, gripper: Gripper) -> None:
+    """Put the fingers of a travelling gripper where they are when closed on nothing."""
+    for side in _SIDES:
+        finger = f"finger{index}{side}"
+        data.qpos[model.joint(finger).qposadr] = gripper.opening / 2
+        data.ctrl[model.actuator(finger).id] = gripper.closed
+
+
+def _add_arm(spec: mujoco.MjSpec, index: int, mass: float, force: float) -> mujoco.MjsBody:
+    """Add what carries a gripper along three axes, and return its wrist."""
+    arm = spec.worldbody.add_body()
+    arm.name = f"arm{index}"
+    set_inertia(arm, 0.1)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        add_slide(arm, f"arm{index}{name}", axis)
+        servo = add_servo(spec, f"arm{index}{name}", ARM_STIFFNESS, 0.1 + mass, (-force, force))
+        # An integrated-velocity servo: its set point moves at the commanded velocity.
+        servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    wrist = arm.add_body()
+    wrist.name = f"wrist{index}"
+    set_inertia(wrist, mass)
+    return wrist
+
+
+def add_travelling_cup(spec: mujoco.MjSpec, index: int, cup: SuctionCup, touches: int) -> None:
+    """Add a suction cup that travels, its parts named as those of `add_travelling_gripper`.
+
+    The sensors "force" and "torque" and its number tell what loads the lip, and the equalities
+    "seal", its number and an object's are what a seal holds.
+    """
+    wrist = _add_arm(spec, index, cup.mass, cup.press)
+    lip = wrist.add_body()
+    lip.name = f"lip{index}"
+    set_inertia(lip, 0.01)
+    for body, name, radius, low, high in (
+        (lip, f"lip{index}", cup.radius, 0.0, 0.004),
+        (wrist, f"tube{index}", cup.tube, 0.004, cup.length),
+    ):
+        geom = body.add_geom()
+        geom.name = name
+        geom.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+        geom.fromto = [0, 0, low, 0, 0, high]
+        geom.size = [radius, 0, 0]
+        geom.friction = [cup.friction, 0.005, 0.0001]
+        geom.priority = 1
+        geom.condim = 4
+        geom.contype, geom.conaffinity = touches, touches
+    site = lip.add_site()
+    site.name = f"lip{index}"
+    for name, kind in (
+        (f"force{index}", mujoco.mjtSensor.mjSENS_FORCE),
+        (f"torque{index}", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        sensor = spec.add_sensor()
+        sensor.name, sensor.type = name, kind
+        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, site.name
+
+
+def add_seal(spec: mujoco.MjSpec, index: int, number: int) -> None:
+    """Add what can hold an object at a travelling cup's lip; no cup holds anything at first."""
+    seal = spec.add_equality()
+    seal.name = f"seal{index}object{number}"
+    seal.type = mujoco.mjtEq.mjEQ_WELD
+    seal.objtype = mujoco.mjtObj.mjOBJ_BODY
+    seal.name1, seal.name2 = f"lip{index}", f"object{number}"
+    seal.data[10] = 1.0
+    seal.active = False
 
 
 def set_inertia(body: mujoco.MjsBody, mass: float) -> None:

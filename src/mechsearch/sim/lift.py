@@ -7,6 +7,7 @@ x axis the closing direction, its z axis the direction against the approach.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -35,6 +36,7 @@ class Outcome(StrEnum):
     WRONG_OBJECT = "wrong object"
     TWO_OBJECTS = "two objects"
     FAILURE = "failure"
+    NO_SEAL = "no seal"
 
 
 @dataclass(frozen=True)
@@ -141,8 +143,44 @@ class LiftWorld:
                 f"{self.count} objects, so expected ({self.count}, 7) and 0 to {self.count - 1}"
             )
         self._reset(states, above_table(np.asarray(grasp, np.float64), self.gripper), friction)
-        attempt = _Attempt(self, states, target, film)
-        return attempt.run()
+        return LiftTest(self, states, target, self.height, film).run()
+
+    @property
+    def height(self) -> float:
+        """Of the gripper over the grasp, along it [m]."""
+        return float(self._jaws[0])
+
+    def drive(self, height: float, closed: float | None = None) -> None:
+        """Advance one step with the servos' goals; see `Rig`."""
+        self._data.ctrl[0] = height
+        if closed is not None:
+            self._data.ctrl[1:] = closed
+        mujoco.mj_step(self._model, self._data)
+
+    def touched(self, finger: int) -> set[int]:
+        """Return the objects that touch one finger."""
+        return touching(self._model, self._data, self._geoms[1 + finger], self.count)
+
+    def object_poses(self) -> Floats:
+        """Return the poses (N, 7) of all objects."""
+        return np.array(self._data.qpos[: 7 * self.count]).reshape(-1, 7)
+
+    def unsound(self) -> bool:
+        """Return whether the physics went wrong."""
+        data = self._data
+        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+        return not finite or warned(data)
+
+    def gripper_poses(self) -> Floats:
+        """Return the poses (3, 7) of the rendered palm and fingers."""
+        palm, *_ = self._bodies
+        place = np.array([*self._data.xpos[palm], *self._data.xquat[palm]])
+        palm_pose = place.copy()
+        palm_pose[:3] = apply(transform_from_pose(place), self.gripper.palm_place)
+        fingers = [
+            np.array([*self._data.xpos[body], *self._data.xquat[body]]) for body in self._bodies[1:]
+        ]
+        return np.stack([palm_pose, *fingers])
 
     def _reset(self, poses: Floats, grasp: Floats, friction: float | None) -> None:
         model, data = self._model, self._data
@@ -153,32 +191,41 @@ class LiftWorld:
             self.gripper.friction if friction is None else friction
         )
         data.qpos[: 7 * self.count] = poses.ravel()
-        self._jaws[0] = self._start_height(poses, grasp)
+        boxes = self._outlines.boxes(poses)
+        self._jaws[0] = start_height(grasp, boxes, self.gripper.boxes, self.config.headroom)
         data.ctrl[:] = self._jaws
         # What rests may sleep after the first step, until something touches it.
         if self.config.physics.sleep_speed:
             data.tree_asleep[:] = -1
 
-    def _start_height(self, poses: Floats, grasp: Floats) -> float:
-        """Return how far above the grasp the gripper cannot touch anything yet [m]."""
-        gripper = self.gripper
-        low, high = self._outlines.boxes(poses)
-        rotation = rotation_from_quaternion(grasp[3:])
-        needed = 0.0
-        for half, place in (
-            (gripper.finger_box, gripper.finger_place),
-            (gripper.finger_box, gripper.finger_place * [-1.0, 1.0, 1.0]),
-            (gripper.palm_box, gripper.palm_place),
-        ):
-            centre = grasp[:3] + rotation @ place
-            extent = np.abs(rotation) @ half + 0.002
-            # Along a tilted approach the body also moves sideways.
-            extent[:2] += 0.1 * np.abs(rotation[:2, 2])
-            over = (np.abs(centre[:2] - (low + high)[:, :2] / 2)
-                    < extent[:2] + (high - low)[:, :2] / 2).all(axis=1)  # fmt: skip
-            top = high[over, 2].max(initial=0.0)
-            needed = max(needed, top - (centre[2] - extent[2]))
-        return needed / max(float(rotation[2, 2]), 0.5) + self.config.headroom
+
+def start_height(
+    grasp: Floats,
+    boxes: tuple[Floats, Floats],
+    parts: Sequence[tuple[Floats, Floats]],
+    headroom: float,
+) -> float:
+    """Return how far above a grasp the open gripper cannot touch anything yet [m].
+
+    Args:
+        grasp: Pose (7,) of the gripper's frame.
+        boxes: Lowest and highest corners (B, 3) [m] of what it may meet.
+        parts: Half the sides and the centre (3,) of each part of the gripper [m].
+        headroom: Left between the fingers and what they may meet first [m].
+    """
+    low, high = boxes
+    rotation = rotation_from_quaternion(grasp[3:])
+    needed = 0.0
+    for half, place in parts:
+        centre = grasp[:3] + rotation @ place
+        extent = np.abs(rotation) @ half + 0.002
+        # Along a tilted approach the body also moves sideways.
+        extent[:2] += 0.1 * np.abs(rotation[:2, 2])
+        over = (np.abs(centre[:2] - (low + high)[:, :2] / 2)
+                < extent[:2] + (high - low)[:, :2] / 2).all(axis=1)  # fmt: skip
+        top = high[over, 2].max(initial=0.0)
+        needed = max(needed, top - (centre[2] - extent[2]))
+    return needed / max(float(rotation[2, 2]), 0.5) + headroom
 
 
 def above_table(grasp: Floats, gripper: Gripper) -> Floats:
@@ -224,123 +271,124 @@ def perturbed(grasp: Array, rng: np.random.Generator, spread: Perturbation) -> t
     return pose, friction
 
 
-class _Attempt:
-    """One grasp under way."""
+class Rig(Protocol):
+    """A gripper in a scene, as a lift test drives it; heights are over the grasp, along it [m]."""
+
+    gripper: Gripper
+    config: LiftConfig
+
+    @property
+    def height(self) -> float:
+        """Where the gripper is."""
+
+    def drive(self, height: float, closed: float | None = None) -> None:
+        """Advance one step towards a height and a travel of each finger [m], if it is to change."""
+
+    def touched(self, finger: int) -> set[int]:
+        """Return the objects that touch one finger."""
+
+    def object_poses(self) -> Floats:
+        """Return the poses (N, 7) of all objects."""
+
+    def gripper_poses(self) -> Floats:
+        """Return the poses (P, 7) of the gripper's rendered parts."""
+
+    def unsound(self) -> bool:
+        """Return whether the physics went wrong."""
+
+
+class LiftTest:
+    """One grasp under way: its phases, and what they come to."""
 
     def __init__(
-        self, world: LiftWorld, poses: Floats, target: int, film: list[LiftFrame] | None
+        self, rig: Rig, poses: Floats, target: int, height: float, film: list[LiftFrame] | None
     ) -> None:
-        self.world, self.poses, self.target, self.film = world, poses, target, film
-        self.config, self.gripper = world.config, world.gripper
-        self.data, self.model = world._data, world._model
-        self.clock = 0
+        """Take a gripper at a height [m] above its grasp, objects at rest at `poses` (N, 7)."""
+        self._rig, self._poses, self._target, self._film = rig, poses, target, film
+        self._config, self._gripper, self._start = rig.config, rig.gripper, height
+        self._clock = 0
 
     def run(self) -> Outcome:
+        """Execute the grasp."""
+        rig, target = self._rig, self._target
         if not self._descend():
             return Outcome.BLOCKED
         self._close()
-        squeezed = self._touched(0) & self._touched(1)
-        if self._unsound():
+        squeezed = rig.touched(0) & rig.touched(1)
+        if rig.unsound():
             return Outcome.FAILURE
-        if not (self._touched(0) | self._touched(1)):
+        if not (rig.touched(0) | rig.touched(1)):
             return Outcome.MISSED
         if not self._lift():
-            return Outcome.SLIPPED if self.target in squeezed else Outcome.MISSED
-        lifted = self._lifted()
-        if self._unsound():
+            return Outcome.SLIPPED if target in squeezed else Outcome.MISSED
+        lifted = self.lifted()
+        if rig.unsound():
             return Outcome.FAILURE
-        if self.target not in lifted:
+        if target not in lifted:
             if lifted:
                 return Outcome.WRONG_OBJECT
-            return Outcome.SLIPPED if self.target in squeezed else Outcome.MISSED
+            return Outcome.SLIPPED if target in squeezed else Outcome.MISSED
         if len(lifted) > 1:
             return Outcome.TWO_OBJECTS
         self._shake()
-        if self._unsound():
+        if rig.unsound():
             return Outcome.FAILURE
-        held = self._touched(0) & self._touched(1)
-        return Outcome.SUCCESS if held == {self.target} else Outcome.DROPPED
+        held = rig.touched(0) & rig.touched(1)
+        return Outcome.SUCCESS if held == {target} else Outcome.DROPPED
+
+    def lifted(self) -> set[int]:
+        """Return the objects that rose with the gripper."""
+        rise = self._rig.object_poses()[:, 2] - self._poses[:, 2]
+        return set(np.flatnonzero(rise > self._config.risen * self._config.height).tolist())
 
     def _descend(self) -> bool:
         """Go down; return whether the grasp was reached."""
-        config, jaws = self.config, self.world._jaws
-        start = float(jaws[0])
+        config, rig, start = self._config, self._rig, self._start
         steps = config.steps(start / config.descent_speed)
         for step in range(steps + config.steps(0.04)):
             goal = start * max(0.0, 1.0 - (step + 1) / steps)
             self._step("descend", goal, 0.0)
-            if jaws[0] - goal > 4 * config.blocked_by + 0.01:
+            if rig.height - goal > 4 * config.blocked_by + 0.01:
                 return False
-        return bool(jaws[0] < config.blocked_by)
+        return bool(rig.height < config.blocked_by)
 
     def _close(self) -> None:
-        config, gripper = self.config, self.gripper
-        steps = config.steps(config.closing)
-        # Beyond contact of the fingers, so that even what is thin feels the whole force.
-        beyond = gripper.opening / 2 + 0.012
+        steps = self._config.steps(self._config.closing)
         for step in range(steps):
-            self._step("close", 0.0, beyond * min(1.0, 1.25 * (step + 1) / steps))
+            self._step("close", 0.0, self._gripper.closed * min(1.0, 1.25 * (step + 1) / steps))
 
     def _lift(self) -> bool:
         """Lift; return False as soon as the fingers hold nothing."""
-        config = self.config
+        config, rig = self._config, self._rig
         steps = config.steps(config.lifting)
         for step in range(steps):
             share = (1 - np.cos(np.pi * (step + 1) / steps)) / 2
             self._step("lift", config.height * share)
-            if step % 8 == 7 and not (self._touched(0) | self._touched(1)):
+            if step % 8 == 7 and not (rig.touched(0) | rig.touched(1)):
                 return False
         return True
 
     def _shake(self) -> None:
-        config = self.config
+        config, rig = self._config, self._rig
         for step in range(config.steps(config.shaking)):
             seconds = (step + 1) * config.physics.time_step
             sway = config.shake * np.sin(2 * np.pi * config.frequency * seconds)
             self._step("shake", config.height + sway)
-            if step % 8 == 7 and self.target not in self._touched(0) | self._touched(1):
+            if step % 8 == 7 and self._target not in rig.touched(0) | rig.touched(1):
                 return
 
     def _step(self, phase: str, height: float, closed: float | None = None) -> None:
-        """Advance one step with the servos' goals: height over the grasp, finger travel."""
-        self.data.ctrl[0] = height
-        if closed is not None:
-            self.data.ctrl[1:] = closed
-        mujoco.mj_step(self.model, self.data)
-        self.clock += 1
-        if self.film is not None and self.clock % 5 == 0:
-            self.film.append(LiftFrame(phase, self._states(), self._gripper_poses()))
+        self._rig.drive(height, closed)
+        self._clock += 1
+        if self._film is not None and self._clock % 5 == 0:
+            poses = self._rig.object_poses()
+            self._film.append(LiftFrame(phase, poses, self._rig.gripper_poses()))
 
-    def _touched(self, finger: int) -> set[int]:
-        """Return the objects that touch one finger."""
-        pairs = self.data.contact.geom[: self.data.ncon]
-        own = pairs == self.world._geoms[1 + finger]
-        others = pairs[own[:, ::-1]]
-        bodies = self.model.geom_bodyid[others]
-        return {int(body) - 1 for body in bodies if 1 <= body <= self.world.count}
 
-    def _states(self) -> Floats:
-        return np.array(self.data.qpos[: 7 * self.world.count]).reshape(-1, 7)
-
-    def _lifted(self) -> set[int]:
-        """Return the objects that rose with the gripper."""
-        rise = self._states()[:, 2] - self.poses[:, 2]
-        return set(np.flatnonzero(rise > self.config.risen * self.config.height).tolist())
-
-    def _unsound(self) -> bool:
-        """Return whether the physics went wrong."""
-        data = self.data
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        return not finite or warned(data)
-
-    def _gripper_poses(self) -> Floats:
-        """Return the poses (3, 7) of the rendered palm and fingers."""
-        palm, *_ = self.world._bodies
-        place = np.array([*self.data.xpos[palm], *self.data.xquat[palm]])
-        palm_pose = place.copy()
-        palm_pose[:3] = apply(transform_from_pose(place), self.gripper.palm_place)
-        fingers = [
-            np.array([*self.data.xpos[body], *self.data.xquat[body]])
-            for body in self.world._bodies[1:]
-        ]
-        return np.stack([palm_pose, *fingers])
+def touching(model: mujoco.MjModel, data: mujoco.MjData, geom: int, count: int) -> set[int]:
+    """Return which of `count` objects, the scene's first bodies, touch a geom."""
+    pairs = data.contact.geom[: data.ncon]
+    own = pairs == geom
+    others = pairs[own[:, ::-1]]
+    bodies = model.geom_bodyid[others]
+    return {int(body) - 1 for body in bodies if 1 <= body <= count}

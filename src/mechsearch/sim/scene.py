@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import Gripper, add_gripper, add_servo, add_slide, set_inertia
+from mechsearch.sim.gripper import (
+    AnyGripper,
+    Cylinder,
+    Gripper,
+    add_gripper,
+    add_seal,
+    add_servo,
+    add_slide,
+    add_travelling_cup,
+    add_travelling_gripper,
+    set_inertia,
+)
 from mechsearch.types import Array, Floats
 
 AMONG_OBJECTS = 1
@@ -132,6 +143,11 @@ class Pusher:
     force: float = 25.0
     friction: float = 0.5
 
+    @property
+    def outline(self) -> tuple[Cylinder, ...]:
+        """What it fills, from the tip upwards."""
+        return (Cylinder(self.radius, 0.0, self.length),)
+
     def pose(self, position: Floats) -> Floats:
         """Return the pose (7,) of the visual model for a tip at `position` (3,)."""
         return np.concatenate([position, _UPRIGHT])
@@ -193,6 +209,7 @@ def compile_scene(
     walls: Sequence[Wall],
     config: PhysicsConfig,
     gripper: Gripper | None = None,
+    travelling: Sequence[AnyGripper] = (),
 ) -> mujoco.MjModel:
     """Return the engine's model: the objects' free joints first, then the robot's slides."""
     spec = mujoco.MjSpec()
@@ -213,6 +230,13 @@ def compile_scene(
         _add_pusher(spec, pusher)
     if gripper is not None:
         add_gripper(spec, gripper, AMONG_OBJECTS, WITH_TABLE)
+    for i, own in enumerate(travelling):
+        if isinstance(own, Gripper):
+            add_travelling_gripper(spec, i, own, AMONG_OBJECTS, WITH_TABLE)
+            continue
+        add_travelling_cup(spec, i, own, AMONG_OBJECTS)
+        for number in range(len(models)):
+            add_seal(spec, i, number)
     for i, wall in enumerate(walls):
         _add_wall(spec, i, wall)
     for geom in spec.geoms:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.geometry import rotation_from_quaternion
+from mechsearch.sim.gripper import AnyGripper, Cylinder, Gripper, close_jaws
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, compile_scene
 from mechsearch.types import Array, Floats
 
@@ -31,10 +32,19 @@ class FreeTravel:
 
 
 @cache
-def free_travel(pusher: Pusher, config: PhysicsConfig) -> FreeTravel:
-    """Return the answer of a pusher that starts at rest, as the engine itself computes it."""
-    model = compile_scene((), Workspace(), pusher, (), config)
-    data = mujoco.MjData(model)
+def free_travel(pusher: Pusher | AnyGripper, config: PhysicsConfig) -> FreeTravel:
+    """Return the answer of a pusher that starts at rest, as the engine itself computes it.
+
+    A gripper pushes with closed jaws.
+    """
+    if isinstance(pusher, Pusher):
+        model = compile_scene((), Workspace(), pusher, (), config)
+        data = mujoco.MjData(model)
+    else:
+        model = compile_scene((), Workspace(), None, (), config, travelling=(pusher,))
+        data = mujoco.MjData(model)
+        if isinstance(pusher, Gripper):
+            close_jaws(model, data, 0, pusher)
     length = 0.05
     rows = [(0.0, 0.0, 0.0)]
     for step in range(config.steps):
@@ -74,24 +84,24 @@ class Outlines:
 
 
 def clear_steps(
-    path: Floats, boxes: tuple[Floats, Floats], pusher: Pusher, clearance: float
+    path: Floats, boxes: tuple[Floats, Floats], part: Cylinder, clearance: float
 ) -> int:
     """Return after how many steps the pusher is still farther than `clearance` from all boxes.
 
     Args:
         path: Tip of the pusher after each step (S + 1, 3) [m].
         boxes: Lowest and highest corners (B, 3) [m].
-        pusher: Its geometry.
+        part: Of the pusher.
         clearance: [m].
 
     Returns:
         The last such step, S if all are; 0 too if even the start is not.
     """
     low, high = boxes
-    reach = pusher.radius + clearance
+    reach = part.radius + clearance
     wide = np.array([reach, reach, clearance])
-    top = np.array([0.0, 0.0, pusher.length])
-    near = (low < path.max(axis=0) + top + wide) & (high > path.min(axis=0) - wide)
+    bottom, top = np.array([0.0, 0.0, part.low]), np.array([0.0, 0.0, part.high])
+    near = (low < path.max(axis=0) + top + wide) & (high > path.min(axis=0) + bottom - wide)
     close = near.all(axis=1).nonzero()[0]
     if not len(close):
         return len(path) - 1
@@ -101,7 +111,7 @@ def clear_steps(
     height = path[:, 2, None]
     meets: Array = (
         ((beside * beside).sum(axis=2) < reach**2)
-        & (height < high[:, 2] + clearance)
-        & (height + pusher.length > low[:, 2] - clearance)
+        & (height + part.low < high[:, 2] + clearance)
+        & (height + part.high > low[:, 2] - clearance)
     ).any(axis=1)
     return max(int(np.argmax(meets)) - 1, 0) if meets.any() else len(path) - 1

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
 from mechsearch.types import Array, Floats
@@ -41,6 +42,7 @@ class World:
         pusher: Pusher | None = None,
         walls: Sequence[Wall] = (),
         config: PhysicsConfig | None = None,
+        grippers: Sequence[AnyGripper] = (),
     ) -> None:
         """Compile a scene.
 
@@ -50,25 +52,28 @@ class World:
             pusher: The end effector, or None for a world without one.
             walls: Confining walls.
             config: Numerical choices.
+            grippers: Travelling ones in place of a pusher: the first pushes, its jaws closed.
         """
         self.config = config or PhysicsConfig()
         self.workspace = workspace or Workspace()
         self.count = len(models)
-        self._pusher = pusher
+        self._pusher: Pusher | AnyGripper | None = grippers[0] if grippers else pusher
         self._outlines = Outlines([model.parts for model in models])
-        self._model = compile_scene(models, self.workspace, pusher, walls, self.config)
+        self._model = compile_scene(
+            models, self.workspace, pusher, walls, self.config, travelling=grippers
+        )
         self._data = mujoco.MjData(self._model)
         reset_data(self._model, self._data)
         self._size = mujoco.mj_stateSize(self._model, _STATE)
-        self._pusher_geom = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "pusher")
-        self._tip = self._data.qpos[7 * self.count :]
+        self._robot_geoms = np.flatnonzero(self._model.geom_bodyid > self.count)
+        self._tip = self._data.qpos[7 * self.count :][:3]
         limits = np.full(self._model.nv, self.config.still_speed)
         limits[: 6 * self.count].reshape(-1, 6)[:, 3:] = self.config.still_spin
         self._slowness = 1.0 / limits
         # Views of the engine's memory: each look through its binding would cost a microsecond.
         self._qpos, self._qvel = self._data.qpos, self._data.qvel
         self._objects: Floats = self._qpos[: 7 * self.count].reshape(-1, 7)
-        self._set_point, self._command = self._data.act, self._data.ctrl
+        self._set_point, self._command = self._data.act[:3], self._data.ctrl[:3]
         self._asleep, self._warnings = self._data.tree_asleep, self._data.warning.number
 
     @property
@@ -114,7 +119,7 @@ class World:
         """Return whether nothing touches the pusher where it stands."""
         mujoco.mj_forward(self._model, self._data)
         pairs = self._data.contact.geom[: self._data.ncon]
-        return not bool((pairs == self._pusher_geom).any())
+        return not bool(np.isin(pairs, self._robot_geoms).any())
 
     def remove_walls(self) -> None:
         """Take the confining walls away."""
@@ -155,8 +160,9 @@ class World:
         if self._pusher is None or not isfinite(config.clearance) or not self._lies_still():
             return 0
         path = start + self._travel.position[:, None] * (goal - start)
-        return clear_steps(
-            path, self._outlines.boxes(self._objects), self._pusher, config.clearance
+        boxes = self._outlines.boxes(self._objects)
+        return min(
+            clear_steps(path, boxes, part, config.clearance) for part in self._pusher.outline
         )
 
     @cached_property
@@ -172,7 +178,7 @@ class World:
         if step:
             answer = self._travel
             self._tip[:] = start + answer.position[step] * command
-            self._qvel[6 * self.count :] = answer.velocity[step] * command
+            self._qvel[6 * self.count :][:3] = answer.velocity[step] * command
             self._set_point[:] = start + answer.set_point[step] * command
         self._command[:] = speed if step < config.action_steps else 0.0
 
