@@ -208,12 +208,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             scene.stay()
             return self._result(USED_UP, (), "budget")
         self._spent[kind] += 1
-        outcome, held = "", ()
-        if kind == PUSH:
-            command = scene.world.pusher_position + displacement(np.array(decision.numbers))
-            failure = scene.push(self.config.workspace.clip(command))
-        else:
-            outcome, held, failure = self._grasp(decision)
+        outcome, held, failure = self._push(decision) if kind == PUSH else self._grasp(decision)
         if failure is not None:
             return self._result(outcome, (), f"failure: {failure}", failure)
         end = None
@@ -280,6 +275,11 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         most = (config.max_actions, config.max_grasps, config.max_removals)
         return most[kind] - self._spent[kind]
 
+    def _push(self, decision: Decision) -> tuple[str, tuple[int, ...], str | None]:
+        """Carry out a push; the result is like that of `_grasp`."""
+        command = self._scene.world.pusher_position + displacement(np.array(decision.numbers))
+        return "", (), self._scene.push(self.config.workspace.clip(command))
+
     def _grasp(self, decision: Decision) -> tuple[str, tuple[int, ...], str | None]:
         """Carry out a grasp or a removal; return its outcome, what came up, and a failure."""
         scene, target = self._scene, self._scene.heap.target
@@ -287,9 +287,9 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         pose, friction = self._executed(decision)
         attempt = world.attempt(target, pose, decision.gripper, friction, self.film)
         if attempt.outcome == Outcome.FAILURE:
-            failure = world.failure() or "grasp"
+            name = world.failure() or "grasp"
             scene.go_back()
-            return str(Outcome.FAILURE), (), failure
+            return str(Outcome.FAILURE), (), name
         held = attempt.held
         away = held if held == (target,) or (removal and target not in held) else ()
         if away:

@@ -90,6 +90,7 @@ class GripperWorld(World):
         self._held, self._lifted = None, ()
         for rig in self._rigs:
             rig.let_go()
+            rig.restore()
         super().reset(poses, pusher_position)
         for rig in self._rigs:
             rig.park()
