@@ -35,6 +35,16 @@ ACTION_LENGTH = 0.05
 """Longest displacement of the end effector in one action [m] (paper, section IV-A)."""
 
 
+PUSH, GRASP, REMOVE = 0, 1, 2
+"""Kinds of decisions in retrieval: a push, a grasp of the target, the removal of another object."""
+
+DECISION_SIZE = 9
+"""Numbers of a decision as a vector: its kind, the gripper's number, and seven more."""
+
+USED_UP = "used up"
+"""Outcome of a decision of a kind of which none was left: it was not carried out."""
+
+
 class MechSearchError(Exception):
     """Bad input: the message names the value, what was expected and the valid choices."""
 

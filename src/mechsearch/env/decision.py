@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 
 from mechsearch.geometry import yaw_quaternion
 from mechsearch.sim.scene import Workspace
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import DECISION_SIZE, GRASP, PUSH, REMOVE, Array, Floats, MechSearchError
 
-PUSH, GRASP, REMOVE = 0, 1, 2
 KINDS = ("push", "grasp", "removal")
 """Names of the kinds, by number."""
-
-DECISION_SIZE = 9
-"""Numbers of a decision as a vector: its kind, the gripper's number, and seven more."""
 
 STEEPEST = float(np.cos(np.deg2rad(60.0)))
 """Least upward part of a grasp's z axis: grippers come from above, tilted by at most 60 degrees."""

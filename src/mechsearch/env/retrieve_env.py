@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from mechsearch.env.decision import GRASP, KINDS, PUSH, REMOVE, STEEPEST, Decision, DecisionSpace
+from mechsearch.env.decision import KINDS, STEEPEST, Decision, DecisionSpace
 from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
 from mechsearch.env.task import HeapEnvConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
@@ -23,15 +23,16 @@ from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
 from mechsearch.sim.scene import Pusher
 from mechsearch.types import (
     BUDGET_KEYS,
+    GRASP,
     GRASP_KEYS,
+    PUSH,
+    REMOVE,
     RETRIEVAL_KEYS,
+    USED_UP,
     Array,
     Floats,
     MechSearchError,
 )
-
-USED_UP = "used up"
-"""Outcome of a decision of a kind of which none was left: it was not carried out."""
 
 _BELOW = 0.01
 """How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
