@@ -21,8 +21,8 @@ _FIRM_TIME, _FIRM = [0.01, 1.0], [0.99, 0.999, 0.0005, 0.5, 2.0]
 
 _SIDES = "left", "right"
 
-ARM_STIFFNESS = 20000.0
-"""Of what carries a gripper that travels, along each axis [N/m]."""
+PUSHING_STIFFNESS, GRASPING_STIFFNESS = 2000.0, 20000.0
+"""Of what carries a travelling gripper, along each axis [N/m]: soft like the pusher, or stiff."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,10 @@ class SuctionCup:
 
     A seal needs a surface all around the lip that is flat to within `roughness` of a plane, tilted
     by at most `tilt`. It holds as long as the lip is pressed on everywhere: of the vacuum's force
-    F and a load's pull P, what is left, F - P, is spread around the lip, and a bending moment above
-    (F - P) radius / 2 lifts its weaker side; shear is held by friction.
+    F and a load's pull P, what is left, F - P, presses the lip on. A bending moment of
+    (F - P) radius moves that pressure to the lip's edge and opens the other side; friction holds
+    shear and twist. Vacuum is for gentle motion (makers ask for a safety factor of two), so it is
+    shaken at half the frequency of jaws.
 
     Attributes:
         radius: Of the lip [m].
@@ -344,13 +346,22 @@ def _add_arm(spec: mujoco.MjSpec, index: int, mass: float, force: float) -> mujo
     set_inertia(arm, 0.1)
     for name, axis in zip("xyz", np.eye(3), strict=True):
         add_slide(arm, f"arm{index}{name}", axis)
-        servo = add_servo(spec, f"arm{index}{name}", ARM_STIFFNESS, 0.1 + mass, (-force, force))
+        limits = (-force, force)
+        servo = add_servo(spec, f"arm{index}{name}", PUSHING_STIFFNESS, 0.1 + mass, limits)
         # An integrated-velocity servo: its set point moves at the commanded velocity.
         servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
     wrist = arm.add_body()
     wrist.name = f"wrist{index}"
     set_inertia(wrist, mass)
     return wrist
+
+
+def stiffen(model: mujoco.MjModel, servos: Sequence[int], stiffness: float) -> None:
+    """Give a travelling gripper's servos another stiffness [N/m], critically damped as before."""
+    share = stiffness / model.actuator_gainprm[servos, 0]
+    model.actuator_gainprm[servos, 0] = stiffness
+    model.actuator_biasprm[servos, 1] = -stiffness
+    model.actuator_biasprm[servos, 2] *= np.sqrt(share)
 
 
 def add_travelling_cup(spec: mujoco.MjSpec, index: int, cup: SuctionCup, touches: int) -> None:

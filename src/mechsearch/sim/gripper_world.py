@@ -12,7 +12,14 @@ import numpy as np
 
 from mechsearch.geometry import apply, rotation_from_quaternion, transform_from_pose
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import AnyGripper, Gripper, SuctionCup, close_jaws
+from mechsearch.sim.gripper import (
+    GRASPING_STIFFNESS,
+    AnyGripper,
+    Gripper,
+    SuctionCup,
+    close_jaws,
+    stiffen,
+)
 from mechsearch.sim.lift import (
     LiftConfig,
     LiftFrame,
@@ -89,7 +96,6 @@ class GripperWorld(World):
         """Put all objects at rest at `poses` (N, 7), the pusher where it is told, jaws closed."""
         self._held, self._lifted = None, ()
         for rig in self._rigs:
-            rig.let_go()
             rig.restore()
         super().reset(poses, pusher_position)
         for rig in self._rigs:
@@ -149,7 +155,6 @@ class GripperWorld(World):
     def stow(self) -> None:
         """Put what is held aside, into a tray that is no part of the scene."""
         rig = self._release_from()
-        rig.let_go()
         for index in self._lifted:
             self.remove(index)
         self._retire(rig)
@@ -233,7 +238,10 @@ class _Rig:
             geom for geom in range(model.ngeom)
             if model.body_rootid[model.geom_bodyid[geom]] == model.body(f"arm{index}").id
         ]  # fmt: skip
-        self._pushing = model.actuator_forcerange[servos].copy()
+        self._pushing = [
+            part[servos].copy()
+            for part in (model.actuator_forcerange, model.actuator_gainprm, model.actuator_biasprm)
+        ]
         self._base, self._axis = np.zeros(3), np.array([0.0, 0.0, 1.0])
         self._reach, self._friction = gripper.reach, gripper.friction
         self._press, self._pull = gripper.press, gripper.pull
@@ -276,6 +284,7 @@ class _Rig:
         self._base = grasp[:3] - self._reach * self._axis
         model.body_quat[self._wrist] = grasp[3:]
         model.geom_friction[self._geoms, 0] = self._friction if friction is None else friction
+        stiffen(model, self._servos, GRASPING_STIFFNESS)
         # An arm gives way to what presses on it from below, and is strong otherwise.
         model.actuator_forcerange[self._servos] = [-self._pull, self._pull]
         model.actuator_forcerange[self._servos[2], 0] = -self._press
@@ -285,7 +294,10 @@ class _Rig:
         """Point down again, with the forces and the friction of pushing."""
         self._model.body_quat[self._wrist] = _UPRIGHT
         self._model.geom_friction[self._geoms, 0] = self._friction
-        self._model.actuator_forcerange[self._servos] = self._pushing
+        force, gain, bias = self._pushing
+        self._model.actuator_forcerange[self._servos] = force
+        self._model.actuator_gainprm[self._servos] = gain
+        self._model.actuator_biasprm[self._servos] = bias
 
     def move(self, height: float) -> None:
         """Advance one step towards a height over the grasp [m]."""
@@ -418,6 +430,7 @@ class _CupRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, cup)
         self.gripper = cup
+        self.config = replace(self.config, frequency=self.config.frequency / 2)
         model = self._model
         self._lip = model.body(f"lip{index}").id
         self._lip_geom = model.geom(f"lip{index}").id
@@ -439,8 +452,9 @@ class _CupRig(_Rig):
 
     @property
     def load(self) -> Floats:
-        """Force [N] and torque [N m] on the lip (6,), along its own axes."""
-        return np.array(self._data.sensordata[self._load])
+        """Force [N] and torque [N m] of the object on the lip (6,), along the lip's axes."""
+        # The engine tells what the tube puts on the lip.
+        return -np.array(self._data.sensordata[self._load])
 
     def seal(self, number: int) -> bool:
         """Hold an object by vacuum if it closes the cup all around; return whether it does."""

@@ -1,5 +1,6 @@
 """The suction cup's seal, and its lift test: descend until it touches, seal, lift, shake."""
 
+from collections import deque
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,9 @@ _AROUND = 24
 
 _SEATED = 4.0
 """Force with which a cup is pressed on before the vacuum is drawn [N]."""
+
+_DAMPED = 4
+"""Steps over which soft bellows spread a jerk."""
 
 
 def seal_of(cup: SuctionCup, lip: Floats, model: ObjectModel, pose: Floats) -> bool:
@@ -71,7 +75,7 @@ def holds(cup: SuctionCup, load: Floats) -> bool:
     bending, twisting = np.hypot(load[3], load[4]), abs(load[5])
     return bool(
         left > 0
-        and bending <= left * cup.radius / 2
+        and bending <= left * cup.radius
         and np.hypot(load[0], load[1]) <= cup.friction * left
         and twisting <= cup.friction * left * cup.radius
     )
@@ -122,7 +126,8 @@ class SuctionTest:
         """Take a cup at a height [m] above its grasp, objects at rest at `poses` (N, 7)."""
         self._rig, self._poses, self._target, self._film = rig, poses, target, film
         self._config, self._start, self._clock = rig.config, height, 0
-        self._sealed = -1
+        self._sealed: int | None = None
+        self._loads: deque[Floats] = deque(maxlen=_DAMPED)
 
     def run(self) -> Outcome:
         """Execute the grasp."""
@@ -134,17 +139,15 @@ class SuctionTest:
             return Outcome.MISSED
         if rig.height > self._rig.gripper.stroke:
             return Outcome.BLOCKED
-        for number in sorted(touched):
-            if rig.seal(number):
-                self._sealed = number
-                break
-        else:
+        sealed = next((number for number in sorted(touched) if rig.seal(number)), None)
+        if sealed is None:
             return Outcome.NO_SEAL
+        self._sealed = sealed
         bears = self._lift()
         if rig.unsound():
             return Outcome.FAILURE
         if not bears:
-            return Outcome.SLIPPED if self._sealed == target else Outcome.MISSED
+            return Outcome.SLIPPED if sealed == target else Outcome.MISSED
         lifted = self.lifted()
         if target not in lifted:
             return Outcome.WRONG_OBJECT
@@ -157,7 +160,7 @@ class SuctionTest:
 
     def lifted(self) -> set[int]:
         """Return the objects that rose with the cup, if it still holds one."""
-        if self._sealed < 0:
+        if self._sealed is None:
             return set()
         rise = self._rig.object_poses()[:, 2] - self._poses[:, 2]
         high = set(np.flatnonzero(rise > self._config.risen * self._config.height).tolist())
@@ -182,7 +185,7 @@ class SuctionTest:
         for step in range(steps):
             share = (1 - np.cos(np.pi * (step + 1) / steps)) / 2
             self._step("lift", low + (config.height - low) * share)
-            if self._broken():
+            if self._breaks():
                 return False
         return True
 
@@ -192,16 +195,17 @@ class SuctionTest:
             seconds = (step + 1) * config.physics.time_step
             sway = config.shake * np.sin(2 * np.pi * config.frequency * seconds)
             self._step("shake", config.height + sway)
-            if self._broken():
+            if self._breaks():
                 return False
         return True
 
-    def _broken(self) -> bool:
+    def _breaks(self) -> bool:
         """Return whether the load breaks the seal now; then the object is let go."""
-        if holds(self._rig.gripper, self._rig.load):
+        self._loads.append(self._rig.load)
+        if holds(self._rig.gripper, np.mean(self._loads, axis=0)):
             return False
         self._rig.let_go()
-        self._sealed = -1
+        self._sealed = None
         return True
 
     def _step(self, phase: str, height: float) -> None:
