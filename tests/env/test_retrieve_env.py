@@ -237,11 +237,11 @@ def test_a_task_that_cannot_be_is_refused(settings, message):
 
 
 def test_unknown_keys_are_answered_with_all_choices(covered, boxes):
-    with pytest.raises(MechSearchError, match="'smell'.*depth.*grasp_depth.*removals_left"):
+    with pytest.raises(MechSearchError, match=r"'smell'.*depth.*grasp_depth.*removals_left"):
         RetrieveEnv([covered], boxes, RetrieveConfig(keys=("smell",)))
     with pytest.raises(MechSearchError, match="unknown observation key 'segments'"):
         HeapEnv([covered], boxes, HeapEnvConfig(keys=("segments",)))
-    with pytest.raises(MechSearchError, match="retrieval.action is nan"):
+    with pytest.raises(MechSearchError, match=r"retrieval\.action is nan"):
         RetrievalReward(action=float("nan"))
 
 
