@@ -1,7 +1,8 @@
 """Teach robots to uncover a known object in a heap of unknown ones.
 
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
-environments, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
+environments, `make_retrieve_env` ("mechsearch/Retrieve-v0" and "mechsearch/RetrieveDual-v0") those
+of retrieval, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
 `generate` and `load_heaps` heap sets, `load_object_set` objects, `make_policy` policies by name,
 file or function, `evaluate` their episodes, and `train` runs of any algorithm (PyTorch). Each is
 imported when it is first used.
@@ -14,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, make_env
+    from mechsearch.env.heap_env import HeapEnv, make_env
+    from mechsearch.env.retrieve_env import RetrieveConfig, RetrieveEnv, make_retrieve_env
     from mechsearch.env.reward import RewardConfig
+    from mechsearch.env.task import HeapEnvConfig, TaskConfig
     from mechsearch.env.vector.vector_env import VectorHeapEnv, make_vector_env
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate
@@ -29,17 +32,20 @@ if TYPE_CHECKING:
 _PLACES = {
     "GenerateConfig": "heaps.generate:GenerateConfig",
     "HeapEnv": "env.heap_env:HeapEnv",
-    "HeapEnvConfig": "env.heap_env:HeapEnvConfig",
+    "HeapEnvConfig": "env.task:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
+    "RetrieveConfig": "env.retrieve_env:RetrieveConfig",
+    "RetrieveEnv": "env.retrieve_env:RetrieveEnv",
     "RewardConfig": "env.reward:RewardConfig",
-    "TaskConfig": "env.heap_env:TaskConfig",
+    "TaskConfig": "env.task:TaskConfig",
     "VectorHeapEnv": "env.vector.vector_env:VectorHeapEnv",
     "evaluate": "evaluation.rollout:evaluate",
     "generate": "heaps.generate:generate",
     "load_heaps": "heaps.dataset:load_heaps",
     "load_object_set": "objects.catalog:load_object_set",
     "make_env": "env.heap_env:make_env",
+    "make_retrieve_env": "env.retrieve_env:make_retrieve_env",
     "make_vector_env": "env.vector.vector_env:make_vector_env",
     "make_policy": "evaluation.policies:make_policy",
     "run_config": "training.config:run_config",
@@ -53,6 +59,8 @@ __all__ = [
     "HeapEnvConfig",
     "MechSearchError",
     "Policy",
+    "RetrieveConfig",
+    "RetrieveEnv",
     "RewardConfig",
     "TaskConfig",
     "VectorHeapEnv",
@@ -62,6 +70,7 @@ __all__ = [
     "load_object_set",
     "make_env",
     "make_policy",
+    "make_retrieve_env",
     "make_vector_env",
     "run_config",
     "train",
@@ -72,6 +81,12 @@ for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):
         f"mechsearch/{_name}-v0",
         entry_point="mechsearch.env.heap_env:make_env",
         vector_entry_point="mechsearch.env.vector.vector_env:make_vector_env",
+        kwargs={"condition": _condition},
+    )
+for _name, _condition in (("Retrieve", "single"), ("RetrieveDual", "dual")):
+    gymnasium.register(
+        f"mechsearch/{_name}-v0",
+        entry_point="mechsearch.env.retrieve_env:make_retrieve_env",
         kwargs={"condition": _condition},
     )
 

@@ -22,8 +22,27 @@ PRIVILEGED_KEYS = ("target_offset", "clutter_offsets", "clutter_mask")
 IMAGE_KEYS = frozenset({"depth", "position_image", "rgb"})
 TEACHER_KEYS = ("ee_position", *PRIVILEGED_KEYS)
 
+GRASP_KEYS = ("grasp_depth", "segments")
+"""What grasps are planned on: the fixed camera's depth, and which object each pixel shows."""
+
+BUDGET_KEYS = ("pushes_left", "grasps_left", "removals_left")
+"""How many decisions of each kind a robot has left."""
+
+RETRIEVAL_KEYS = (*ACTOR_KEYS, *GRASP_KEYS, *BUDGET_KEYS)
+"""What is seen in retrieval."""
+
 ACTION_LENGTH = 0.05
 """Longest displacement of the end effector in one action [m] (paper, section IV-A)."""
+
+
+PUSH, GRASP, REMOVE = 0, 1, 2
+"""Kinds of decisions in retrieval: a push, a grasp of the target, the removal of another object."""
+
+DECISION_SIZE = 9
+"""Numbers of a decision as a vector: its kind, the gripper's number, and seven more."""
+
+USED_UP = "used up"
+"""Outcome of a decision of a kind of which none was left: it was not carried out."""
 
 
 class MechSearchError(Exception):
@@ -40,8 +59,12 @@ class Policy(Protocol):
     def reset(self, rng: np.random.Generator) -> None:
         """Begin a new episode; all the policy's randomness comes from `rng`."""
 
-    def act(self, obs: Observation) -> NDArray[np.float32]:
-        """Return an action (3,) in [-1, 1], in workspace axes, for one observation."""
+    def act(self, obs: Observation) -> Array:
+        """Return an action for one observation.
+
+        It is a displacement (3,) in [-1, 1], in workspace axes, or, of a policy whose attribute
+        `goal` is "retrieve", the vector (9,) of a decision.
+        """
 
 
 def select(obs: Observation, keys: tuple[str, ...]) -> dict[str, Array]:

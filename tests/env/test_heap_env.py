@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from mechsearch.camera import preset
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.observe.observation import position_image
 from mechsearch.teachers import make_teacher
@@ -59,7 +60,7 @@ def test_the_start_is_free_and_far_from_the_target_and_fixed_for_evaluation(env,
 @pytest.mark.parametrize("action", [(1, 0, 0), (0, -1, 0), (0.3, 0.2, 0.1), (1, 1, 1)])
 def test_a_free_action_moves_the_effector_as_commanded_and_at_most_5_cm(env, action):
     env.reset(seed=0, options=FIXED)
-    env._world.place_pusher([0.0, -0.2, 0.15])
+    env.world.place_pusher([0.0, -0.2, 0.15])
     before = env.state.ee_position
     env.step(np.array(action, np.float32))
     expected = np.array(action) * 0.05
@@ -69,7 +70,7 @@ def test_a_free_action_moves_the_effector_as_commanded_and_at_most_5_cm(env, act
 
 def test_a_command_out_of_the_workspace_is_penalised_and_stopped_at_its_bound(env):
     env.reset(seed=0, options=FIXED)
-    env._world.place_pusher([0.29, -0.2, 0.15])
+    env.world.place_pusher([0.29, -0.2, 0.15])
     *_, info = env.step(np.array([1.0, 0, 0], np.float32))
     assert info["reward_terms"]["workspace"] == -0.5
     assert env.state.ee_position[0] == pytest.approx(0.3, abs=2e-3)
@@ -77,12 +78,12 @@ def test_a_command_out_of_the_workspace_is_penalised_and_stopped_at_its_bound(en
 
 def test_the_pusher_changes_neither_occlusion_nor_reward_but_hides_the_target(env):
     env.reset(seed=0, options=FIXED)
-    env._world.place_pusher([-0.02, 0.0, 0.2])
+    env.world.place_pusher([-0.02, 0.0, 0.2])
     obs, _, _, _, info = env.step(np.zeros(3, np.float32))
     hidden = (obs["position_image"] != 0).any(axis=0).sum()
     without_pusher = info["occlusion"]
     assert info["reward_terms"]["uncovering"] == pytest.approx(0.0, abs=0.05)
-    env._world.place_pusher([0.2, -0.2, 0.2])
+    env.world.place_pusher([0.2, -0.2, 0.2])
     obs, _, _, _, info = env.step(np.zeros(3, np.float32))
     assert info["occlusion"] == pytest.approx(without_pusher, abs=0.02)
     assert (obs["position_image"] != 0).any(axis=0).sum() > hidden
@@ -119,7 +120,7 @@ def test_fifty_idle_actions_are_truncated_and_cost_half_a_point_each(env):
 def test_a_snapshot_continues_bit_by_bit(env):
     rng = np.random.default_rng(3)
     env.reset(options=FIXED)
-    env._world.place_pusher([-0.1, 0.0, 0.06])
+    env.world.place_pusher([-0.1, 0.0, 0.06])
     actions = rng.uniform(-1, 1, (6, 3)).astype(np.float32)
     actions[:, 0] = 1
     for action in actions[:2]:
@@ -142,8 +143,8 @@ def test_a_snapshot_continues_bit_by_bit(env):
 
 def test_a_target_off_the_table_is_lost_terminated_and_wholly_occluded(env):
     env.reset(options=FIXED)
-    env._world.place(0, [0.5, 0, 0.1, 1, 0, 0, 0])
-    env._world._data.qvel[2] = -0.1
+    env.world.place(0, [0.5, 0, 0.1, 1, 0, 0, 0])
+    env.world._data.qvel[2] = -0.1
     _, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
     assert (terminated, truncated, info["end"]) == (True, False, "lost")
     assert info["occlusion"] == 1.0
@@ -152,8 +153,8 @@ def test_a_target_off_the_table_is_lost_terminated_and_wholly_occluded(env):
 
 def test_clutter_off_the_table_is_penalised_once_and_leaves_the_observation(env):
     env.reset(options=FIXED)
-    env._world.place(2, [0.45, 0, 0.1, 1, 0, 0, 0])
-    env._world._data.qvel[6 * 2 + 2] = -0.1
+    env.world.place(2, [0.45, 0, 0.1, 1, 0, 0, 0])
+    env.world._data.qvel[6 * 2 + 2] = -0.1
     obs, _, _, _, info = env.step(np.zeros(3, np.float32))
     assert info["reward_terms"]["clutter_movement"] < -5
     assert obs["clutter_mask"].tolist() == [1, 0]
@@ -164,8 +165,8 @@ def test_clutter_off_the_table_is_penalised_once_and_leaves_the_observation(env)
 
 def test_a_simulator_failure_truncates_by_name_and_gives_no_reward(env):
     env.reset(options=FIXED)
-    env._world.place(2, [np.nan, 0, 0.1, 1, 0, 0, 0])
-    env._world._data.qvel[12] = 0.1
+    env.world.place(2, [np.nan, 0, 0.1, 1, 0, 0, 0])
+    env.world._data.qvel[12] = 0.1
     obs, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["failure"] == "not a number"
@@ -182,9 +183,9 @@ def test_a_simulator_failure_truncates_by_name_and_gives_no_reward(env):
 )
 def test_each_failure_has_its_name(env, pose, name):
     env.reset(options=FIXED)
-    env._world.place(2, pose)
-    env._world.step(1)
-    assert env._world.failure() == name
+    env.world.place(2, pose)
+    env.world.step(1)
+    assert env.world.failure() == name
 
 
 def test_privileged_offsets_are_relative_to_the_effector(env, covered):
@@ -206,7 +207,7 @@ def test_the_position_image_points_from_the_effector_to_the_targets_surface(env)
 
 def test_a_position_image_needs_one_size(env):
     with pytest.raises(MechSearchError, match="64"):
-        position_image(np.ones((3, 3), bool), np.ones((3, 3)), env._camera, np.zeros(3))
+        position_image(np.ones((3, 3), bool), np.ones((3, 3)), preset("overhead"), np.zeros(3))
 
 
 @pytest.mark.parametrize("action", [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3))])

@@ -9,7 +9,7 @@ from mechsearch.actor_critic.networks import Actor, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.actor_critic.session import ActorCriticConfig, ActorCriticSession
 from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import fill
 from mechsearch.types import MechSearchError

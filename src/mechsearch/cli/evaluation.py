@@ -3,8 +3,7 @@
 import importlib
 import importlib.util
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +11,8 @@ import tyro
 
 from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.retrieve_env import RetrieveConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
@@ -64,6 +64,10 @@ class Evaluate(OfObjects, Spread):
         limit: Number of heaps, spread evenly; 0 takes all.
         seed: Of the policies' own randomness; all start alike.
         task: What is changed of the task.
+        gripper: Of policies that retrieve, such as jaws-85, or several joined by a plus sign, such
+            as jaws-85+suction, of which the first pushes.
+        perturbed: Of policies that retrieve: whether grasps are off by what the lift test calls
+            uncertain.
         summary: Table (.csv) in which to enter the scores.
         experiment: First column of that table.
         brief: Print the main scores alone.
@@ -84,6 +88,8 @@ class Evaluate(OfObjects, Spread):
     task: Annotated[Any, tyro.conf.arg(constructor=_TaskOptions, name="")] = field(
         default_factory=_TaskOptions
     )
+    gripper: str = ""
+    perturbed: bool = False
     summary: Path | None = None
     experiment: str = "main"
     brief: bool = False
@@ -123,10 +129,21 @@ class Evaluate(OfObjects, Spread):
 
     def _plan(self, policy: str) -> EvaluationPlan:
         """Return the plan for a policy, if it can act in the task that is asked for."""
+        grippers = tuple(self.gripper.split("+")) if self.gripper else ()
         plan = EvaluationPlan(
-            policy, self.heaps, self.name, self.objects, self.split, self.limit, self.seed
-        )
-        return in_task(plan, partial(overridden, said=self.task))
+            policy, self.heaps, self.name, self.objects, self.split, self.limit, self.seed,
+            grippers=grippers,
+        )  # fmt: skip
+        return in_task(plan, self._changed)
+
+    def _changed(self, task: TaskConfig) -> TaskConfig:
+        """Return a task as it is asked for."""
+        changed: TaskConfig = overridden(task, self.task)
+        if not self.perturbed:
+            return changed
+        if not isinstance(changed, RetrieveConfig):
+            raise MechSearchError("--perturbed is for policies that retrieve")
+        return replace(changed, perturbed=True)
 
     def _grasping(self) -> Any:
         """Return what measures grasps, if asked for; a network that is no good is refused first."""

@@ -9,7 +9,7 @@ import tyro
 
 from mechsearch.algorithm import A, RunConfig, Schedule
 from mechsearch.cli.command import FLAT, Command, bars, say, wrote
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.evaluation.episodes import METRICS
 from mechsearch.files import CONFIG_FILE
 from mechsearch.training.algorithms import ALGORITHMS

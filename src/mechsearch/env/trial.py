@@ -2,12 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mechsearch.env.heap_env import HeapEnv
+from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.types import TEACHER_KEYS, Array, Observation
+
+Env = TypeVar("Env", HeapEnv, RetrieveEnv)
+
+_SPENT = ("actions", "grasps", "removals")
 
 
 @dataclass
@@ -16,7 +21,7 @@ class Rollout:
 
     Attributes:
         obs: The last observation.
-        actions: As proposed, (3,) each.
+        actions: As proposed, (3,) each, or (9,) in retrieval.
         reward: Sum of all terms.
         terms: Each term's sum.
         clutter_moved: Sum over the actions of the mean non-target displacement [m].
@@ -25,7 +30,7 @@ class Rollout:
     """
 
     obs: Observation
-    actions: list[NDArray[np.float32]] = field(default_factory=list)
+    actions: list[Array] = field(default_factory=list)
     reward: float = 0.0
     terms: dict[str, float] = field(default_factory=dict)
     clutter_moved: float = 0.0
@@ -34,9 +39,9 @@ class Rollout:
 
 
 def roll_out(
-    env: HeapEnv,
+    env: HeapEnv | RetrieveEnv,
     obs: Observation,
-    propose: Callable[[Observation], NDArray[np.float32] | None],
+    propose: Callable[[Observation], Array | None],
     is_hopeless: Callable[[Rollout], bool] = lambda rollout: False,
 ) -> Rollout:
     """Carry out actions until there are no more, the episode ends, or they are given up.
@@ -44,7 +49,7 @@ def roll_out(
     Args:
         env: Where.
         obs: Its present observation.
-        propose: Returns the next action (3,) for an observation, or None at the end.
+        propose: Returns the next action for an observation, or None at the end.
         is_hopeless: Asked after each action whether to give up.
     """
     rollout = Rollout(obs)
@@ -60,11 +65,13 @@ def roll_out(
     return rollout
 
 
-def imageless(env: HeapEnv) -> HeapEnv:
+def imageless(env: Env) -> Env:
     """Return a copy of an environment that takes its snapshots, and observes positions alone."""
-    return HeapEnv(env.heaps, env.objects, replace(env.config, keys=TEACHER_KEYS, privileged=True))
+    config = replace(env.config, keys=TEACHER_KEYS, privileged=True)
+    return type(env)(env.heaps, env.objects, config)
 
 
 def from_start(snapshot: dict[str, Array]) -> dict[str, Array]:
     """Return a snapshot as if the episode began there, with all its actions left."""
-    return snapshot | {"actions": np.zeros_like(snapshot["actions"])}
+    spent = {name: snapshot[name] for name in _SPENT if name in snapshot}
+    return snapshot | {name: np.zeros_like(count) for name, count in spent.items()}

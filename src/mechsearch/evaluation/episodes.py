@@ -8,7 +8,7 @@ stays inside [0, 1] and does not shrink to a point when all episodes end alike.
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_text, write_whole
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import (
+    DECISION_SIZE,
+    GRASP,
+    PUSH,
+    REMOVE,
+    USED_UP,
+    Array,
+    Floats,
+    MechSearchError,
+)
 
 EPISODE_FORMAT = 1
+RETRIEVAL_FORMAT = 2
+"""Of files whose episodes are of retrieval, which earlier versions cannot read."""
+
 UNCOVERED = "uncovered"
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
@@ -35,11 +47,28 @@ METRICS = (
 GRASP_METRICS = ("graspability_change", "retrieval_before", "retrieval_after")
 """Scores of episodes whose target a grasp network has rated and a gripper has tried to lift."""
 
-SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after")
+ATTEMPTS = {"retrieved_within_1": 1, "retrieved_within_3": 3, "retrieved_within_5": 5}
+"""Scores that say whether the target was in the hand after so many attempts."""
+
+RETRIEVAL_METRICS = (
+    *(*ATTEMPTS, "grasp_attempts", "push_actions", "removals"),
+    *("clutter_moved_m", "wrong_objects"),
+)
+"""The scores of an evaluation of retrieval, in place of `METRICS`."""
+
+SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after", *ATTEMPTS)
 """Scores that are 1 or 0 in one episode."""
 
-_LOWER_IS_BETTER = ("episode_actions", "clutter_moved_m", "target_moved_m")
-HIGHER_IS_BETTER = {name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS)}
+_LOWER_IS_BETTER = (
+    *("episode_actions", "clutter_moved_m", "target_moved_m"),
+    *("grasp_attempts", "push_actions", "removals", "wrong_objects"),
+)
+HIGHER_IS_BETTER = {
+    name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS, *RETRIEVAL_METRICS)
+}
+
+IN_HAND = "retrieved"
+"""End of an episode whose target was retrieved."""
 
 RETRIEVED = "success"
 CONFIDENCE = 0.95
@@ -66,6 +95,19 @@ class GraspRecord:
 
 
 @dataclass(frozen=True)
+class RetrievalRecord:
+    """What came of the decisions of an episode of retrieval.
+
+    Attributes:
+        outcomes: Of each decision (T,): see `RetrieveEnv`.
+        held: Indices of the objects that came up in each (T,).
+    """
+
+    outcomes: tuple[str, ...]
+    held: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
 class EpisodeRecord:
     """One episode of T actions among N objects.
 
@@ -76,16 +118,19 @@ class EpisodeRecord:
         policy: Who acted.
         objects: Names of the N objects.
         target: Index of the target among them.
-        actions: Commands (T, 3) in [-1, 1], workspace axes.
+        actions: Commands (T, 3) in [-1, 1], workspace axes; in retrieval decisions (T, 9) float64.
         ee_positions: End effector (T + 1, 3) [m], the start first.
         occlusions: Share of the target's projection that is hidden (T + 1,), in [0, 1].
         poses: Object poses (T + 1, N, 7): position [m], unit quaternion (w, x, y, z).
         reward_terms: Each named reward term (T,).
         clutter_moved: Mean displacement of the other objects in each action (T,) [m].
         target_moved: Displacement of the target in each action (T,) [m].
-        end: "uncovered", "action limit", "lost" or "failure: reason".
-        action_limit: Number of actions after which the episode would have been cut.
+        end: "uncovered", "action limit", "lost" or "failure: reason"; in retrieval "retrieved" or
+            "budget" in place of the first two.
+        action_limit: Number of actions after which the episode would have been cut; in retrieval of
+            pushes, at most.
         grasp: What a gripper could do with the target; None where it was not measured.
+        retrieval: What came of the decisions of retrieval; None where the target is uncovered only.
     """
 
     heap_seed: int
@@ -94,7 +139,7 @@ class EpisodeRecord:
     policy: str
     objects: tuple[str, ...]
     target: int
-    actions: NDArray[np.float32]
+    actions: NDArray[np.float32] | Floats
     ee_positions: Floats
     occlusions: Floats
     poses: Floats
@@ -104,16 +149,21 @@ class EpisodeRecord:
     end: str
     action_limit: int
     grasp: GraspRecord | None = None
+    retrieval: RetrievalRecord | None = None
 
     def __post_init__(self) -> None:
         t, n = len(self.actions), len(self.objects)
         expected: dict[str, tuple[int, ...]] = {
-            "actions": (t, 3), "ee_positions": (t + 1, 3), "occlusions": (t + 1,),
+            "actions": (t, DECISION_SIZE if self.retrieval else 3),
+            "ee_positions": (t + 1, 3), "occlusions": (t + 1,),
             "poses": (t + 1, n, 7), "clutter_moved": (t,), "target_moved": (t,),
         }  # fmt: skip
         shapes = {name: np.shape(getattr(self, name)) for name in expected}
         shapes |= {name: np.shape(term) for name, term in self.reward_terms.items()}
         expected |= dict.fromkeys(self.reward_terms, (t,))
+        if self.retrieval:
+            shapes |= {name: (len(values),) for name, values in vars(self.retrieval).items()}
+            expected |= {"outcomes": (t,), "held": (t,)}
         for name, shape in shapes.items():
             if shape != expected[name]:
                 raise MechSearchError(
@@ -127,6 +177,22 @@ class EpisodeRecord:
     def uncovered(self) -> bool:
         """Whether the target ended completely visible."""
         return self.end == UNCOVERED
+
+    @property
+    def removed(self) -> tuple[int, ...]:
+        """Indices of the objects in the tray, the first one first; the target if it was retrieved.
+
+        Nothing is removed where the target is uncovered only.
+        """
+        if self.retrieval is None:
+            return ()
+        kinds = self.actions[:, 0].tolist()
+        return tuple(
+            index
+            for kind, held in zip(kinds, self.retrieval.held, strict=True)
+            if held == (self.target,) or (kind == REMOVE and self.target not in held)
+            for index in held
+        )
 
     @property
     def rewards(self) -> Floats:
@@ -161,8 +227,11 @@ def save_episodes(path: Path, evaluation: Evaluation) -> None:
     terms = tuple(episodes[0].reward_terms)
     if any(tuple(episode.reward_terms) != terms for episode in episodes):
         raise MechSearchError("the episodes have different reward terms; expected the same in all")
+    of_retrieval = {episode.retrieval is not None for episode in episodes}
+    if len(of_retrieval) > 1:
+        raise MechSearchError("some of the episodes are of retrieval; expected all or none")
     text = {
-        "format": EPISODE_FORMAT,
+        "format": RETRIEVAL_FORMAT if of_retrieval == {True} else EPISODE_FORMAT,
         "header": dict(evaluation.header),
         "terms": terms,
         "episodes": [_description(episode) for episode in episodes],
@@ -191,9 +260,10 @@ def load_episodes(path: Path) -> Evaluation:
     arrays = read_arrays(path, "evaluation")
     try:
         text = json.loads(str(arrays["text"]))
-        if text["format"] != EPISODE_FORMAT:
+        if text["format"] not in (EPISODE_FORMAT, RETRIEVAL_FORMAT):
             raise MechSearchError(
-                f"{path} has episode format {text['format']}; this version reads {EPISODE_FORMAT}"
+                f"{path} has episode format {text['format']}; this version reads {EPISODE_FORMAT} "
+                f"and {RETRIEVAL_FORMAT}"
             )
         return Evaluation(text["header"], tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:
@@ -204,6 +274,8 @@ def _description(episode: EpisodeRecord) -> dict[str, Any]:
     values = {name: getattr(episode, name) for name in _FACTS}
     if episode.grasp is not None:
         values["grasp"] = asdict(episode.grasp)
+    if episode.retrieval is not None:
+        values["retrieval"] = asdict(episode.retrieval)
     return values | {"objects": list(episode.objects), "length": len(episode.actions)}
 
 
@@ -234,7 +306,12 @@ def _split(arrays: Mapping[str, Array], text: Mapping[str, Any]) -> Iterable[Epi
             objects=objects,
             reward_terms={term: pieces[f"term_{term}"][i] for term in text["terms"]},
             grasp=GraspRecord(**description["grasp"]) if "grasp" in description else None,
+            retrieval=_retrieval(description["retrieval"]) if "retrieval" in description else None,
         )
+
+
+def _retrieval(told: Mapping[str, Any]) -> RetrievalRecord:
+    return RetrievalRecord(tuple(told["outcomes"]), tuple(map(tuple, told["held"])))
 
 
 @dataclass(frozen=True)
@@ -257,18 +334,16 @@ def measure(record: EpisodeRecord) -> dict[str, float]:
         `target_moved_m` (path length of the target) [m], `term_<name>` for each reward term, and
         where it was measured `graspability_change` (end minus start) and `retrieval_before` and
         `retrieval_after` (1 if the best grasp lifts the target, else 0).
+        In retrieval `reward`, `RETRIEVAL_METRICS` and the terms: `retrieved_within_<k>` (1 if the
+        target was in the hand after at most k attempts, else 0), `grasp_attempts` (grasps of the
+        target, and a removal that brought it up), `push_actions`, `removals` (other attempts at a
+        removal), `clutter_moved_m`, and `wrong_objects` (grasps that brought up others alone).
 
     Raises:
         MechSearchError: If a value is not finite, since it could not stay in a mean.
     """
-    values = {
-        "reward": record.rewards.sum(),
-        "visibility_change": record.occlusions[0] - record.occlusions[-1],
-        "uncovered_rate": record.uncovered,
-        "episode_actions": len(record.actions) if record.uncovered else record.action_limit,
-        "clutter_moved_m": record.clutter_moved.sum(),
-        "target_moved_m": record.target_moved.sum(),
-    }
+    values = {"reward": record.rewards.sum()}
+    values |= _retrieving(record) if record.retrieval else _uncovering(record)
     values |= {f"term_{name}": term.sum() for name, term in record.reward_terms.items()}
     grasp = record.grasp
     if grasp is not None:
@@ -282,6 +357,35 @@ def measure(record: EpisodeRecord) -> dict[str, float]:
                 "expected a finite number"
             )
     return {name: float(value) for name, value in values.items()}
+
+
+def _uncovering(record: EpisodeRecord) -> dict[str, float]:
+    return {
+        "visibility_change": record.occlusions[0] - record.occlusions[-1],
+        "uncovered_rate": record.uncovered,
+        "episode_actions": len(record.actions) if record.uncovered else record.action_limit,
+        "clutter_moved_m": record.clutter_moved.sum(),
+        "target_moved_m": record.target_moved.sum(),
+    }
+
+
+def _retrieving(record: EpisodeRecord) -> dict[str, float]:
+    assert record.retrieval is not None
+    kinds, target = record.actions[:, 0], record.target
+    carried_out = np.array([outcome != USED_UP for outcome in record.retrieval.outcomes])
+    up = np.array([held == (target,) for held in record.retrieval.held])
+    wrong = [bool(held) and target not in held for held in record.retrieval.held]
+    # A removal that brings up the target is a lucky grasp of it.
+    grasps = ((kinds == GRASP) & carried_out) | ((kinds == REMOVE) & up)
+    attempts = grasps.sum()
+    return {
+        **{name: record.end == IN_HAND and attempts <= most for name, most in ATTEMPTS.items()},
+        "grasp_attempts": attempts,
+        "push_actions": ((kinds == PUSH) & carried_out).sum(),
+        "removals": ((kinds == REMOVE) & carried_out & ~up).sum(),
+        "clutter_moved_m": record.clutter_moved.sum(),
+        "wrong_objects": ((kinds == GRASP) & wrong).sum(),
+    }
 
 
 def mean_interval(values: ArrayLike) -> Estimate:
@@ -351,7 +455,7 @@ class SummaryRow:
         variant: Such as "method", "ddpg", "teacher-straight", "random".
         seed: Training seed, or evaluation seed where nothing was trained.
         actions: Training actions behind the policy; 0 where nothing was trained.
-        metric: Name in `METRICS` or `GRASP_METRICS`.
+        metric: Name in `METRICS`, `GRASP_METRICS` or `RETRIEVAL_METRICS`.
         mean: Over the held-out heaps.
         ci_low: Lower end of the 95 % interval over heaps.
         ci_high: Upper end.
@@ -373,13 +477,20 @@ class SummaryRow:
         return self.experiment, self.condition, self.variant, self.seed, self.actions, self.metric
 
 
+def metrics_of(scores: Container[str]) -> tuple[str, ...]:
+    """Return the names of the scores that are reported, reward terms apart, in their order."""
+    names = RETRIEVAL_METRICS if "push_actions" in scores else METRICS
+    return tuple(name for name in (*names, *GRASP_METRICS) if name in scores)
+
+
 SUMMARY_COLUMNS = tuple(field.name for field in fields(SummaryRow))
 
 
 def summary_rows(experiment: str, evaluation: Evaluation) -> list[SummaryRow]:
     """Return the rows that an evaluation enters into a summary.
 
-    There is one for each of `METRICS`, and of `GRASP_METRICS` where they were measured.
+    There is one for each of `METRICS`, and of `GRASP_METRICS` where they were measured; of
+    retrieval there is one for each of `RETRIEVAL_METRICS`.
     """
     header, scores = evaluation.header, score(evaluation.episodes)
     seed = header["training_seed"] if header["trained"] else header["seed"]
@@ -387,8 +498,7 @@ def summary_rows(experiment: str, evaluation: Evaluation) -> list[SummaryRow]:
     place = (experiment, header["condition"], header["name"], seed, header["training_actions"])
     return [
         SummaryRow(*place, name, scores[name].mean, scores[name].ci_low, scores[name].ci_high)
-        for name in (*METRICS, *GRASP_METRICS)
-        if name in scores
+        for name in metrics_of(scores)
     ]
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
-from mechsearch.env.heap_env import HeapEnv, TaskConfig, task_from_json
+from mechsearch.env.heap_env import HeapEnv
+from mechsearch.env.retrieve_env import RetrieveConfig
+from mechsearch.env.task import TaskConfig, task_from_json
 from mechsearch.env.trial import Rollout, imageless, roll_out
 from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag
@@ -32,6 +34,9 @@ WITHOUT_SUCCESS = 100.0
 
 SHIPPED_POLICIES = ("single", "dual")
 """Conditions for which a trained policy is shipped, and the policies' names."""
+
+UNCOVER, RETRIEVE = "uncover", "retrieve"
+"""What a policy is after: its attribute `goal`, the first one where it has none."""
 
 _FOLDER = Path(__file__).with_name("trained")
 _VIEW = {"camera": str, "image_size": int}
@@ -224,8 +229,27 @@ def config_of_run(spec: str) -> Mapping[str, Any]:
     return {}
 
 
+def goal_of(policy: Policy) -> str:
+    """Return what a policy is after, which says in which environment it acts.
+
+    Returns:
+        "uncover": it acts in a `HeapEnv`; or "retrieve": in a `RetrieveEnv`.
+
+    Raises:
+        MechSearchError: If it is after anything else.
+    """
+    goal = getattr(policy, "goal", UNCOVER)
+    if goal not in (UNCOVER, RETRIEVE):
+        raise MechSearchError(
+            f"{type(policy).__name__} has the goal {goal!r}; choose one of {UNCOVER}, {RETRIEVE}"
+        )
+    return str(goal)
+
+
 def task_of(policy: Policy, run: Mapping[str, Any], camera: str) -> TaskConfig:
     """Return the task that a policy is evaluated in where no other is asked for.
+
+    It is a `RetrieveConfig` of a policy that retrieves.
 
     Args:
         policy: Who acts.
@@ -235,10 +259,11 @@ def task_of(policy: Policy, run: Mapping[str, Any], camera: str) -> TaskConfig:
     Raises:
         MechSearchError: If the configuration is no good.
     """
+    kind = RetrieveConfig if goal_of(policy) == RETRIEVE else TaskConfig
     if "task" in run:
-        return task_from_json(TaskConfig, run["task"])
+        return task_from_json(kind, run["task"])
     flat = {name: run[name] for name in _VIEW if name in run}
-    return task_from_json(TaskConfig, {"camera": camera} | flat | _view_of(policy, run))
+    return task_from_json(kind, {"camera": camera} | flat | _view_of(policy, run))
 
 
 def check_view(policy: Policy, run: Mapping[str, Any], task: TaskConfig, name: str) -> None:

@@ -12,13 +12,22 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig, task_from_json
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, load_episodes
+from mechsearch.env.heap_env import HeapEnv
+from mechsearch.env.retrieve_env import RetrieveConfig, RetrieveEnv
+from mechsearch.env.task import HeapEnvConfig, TaskConfig, task_from_json
+from mechsearch.evaluation.episodes import (
+    EpisodeRecord,
+    Evaluation,
+    RetrievalRecord,
+    load_episodes,
+)
 from mechsearch.evaluation.policies import (
+    RETRIEVE,
     SHIPPED_POLICIES,
     check_view,
     checked_policy,
     config_of_run,
+    goal_of,
     make_policy,
     task_of,
 )
@@ -27,13 +36,23 @@ from mechsearch.heaps.dataset import HeapSet, embedded_file, evenly_spread, open
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import Array, MechSearchError, Observation, Policy, select
+from mechsearch.types import (
+    RETRIEVAL_KEYS,
+    Array,
+    MechSearchError,
+    Observation,
+    Policy,
+    select,
+)
 
 EPISODE_LIMIT = 600.0
 """Time after which an episode hangs [s]; it takes a few seconds."""
 
 
 _COMPARED = ("actions", "ee_positions", "poses", "occlusions", "clutter_moved", "target_moved")
+
+
+AnyEnv = HeapEnv | RetrieveEnv
 
 
 @runtime_checkable
@@ -43,8 +62,20 @@ class Planner(Policy, Protocol):
     simulated_actions: int
     """Actions simulated to plan the present episode, none of them executed."""
 
-    def plan(self, env: HeapEnv) -> None:
+    def plan(self, env: AnyEnv) -> None:
         """Plan from where an environment is, and leave it there."""
+
+
+@runtime_checkable
+class Equipped(Policy, Protocol):
+    """A policy that retrieves, and must know with which grippers."""
+
+    def equip(self, grippers: tuple[str, ...]) -> None:
+        """Take the names of the robot's grippers, before the first episode.
+
+        Raises:
+            MechSearchError: If it cannot do with them.
+        """
 
 
 @dataclass(frozen=True)
@@ -63,6 +94,8 @@ class EvaluationPlan:
         seed: Of the policy's own randomness; starts depend on the heap alone.
         task: The task; None takes that of the run that the policy comes from, or else the default
             one through the heap set's camera.
+        grippers: Names of the robot's grippers, of which the first pushes, for a policy that
+            retrieves; empty takes those of the task.
     """
 
     policy: str | Policy
@@ -73,6 +106,7 @@ class EvaluationPlan:
     limit: int = 0
     seed: int = 0
     task: TaskConfig | None = None
+    grippers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.limit < 0 or self.seed < 0:
@@ -93,12 +127,13 @@ class EvaluationPlan:
     @property
     def title(self) -> str:
         """The name under which the policy is reported."""
-        return self.name or str(self.run.get("name", self.policy_text))
+        own = str(self.run.get("name", self.policy_text))
+        return self.name or "-".join((own, *self.grippers))
 
 
 def run(
     policy: Policy,
-    env: HeapEnv,
+    env: AnyEnv,
     indices: Sequence[int],
     seed: int = 0,
     name: str = "policy",
@@ -124,7 +159,7 @@ def run(
 
 
 def run_episode(
-    policy: Policy, env: HeapEnv, index: int, seed: int = 0, name: str = "policy"
+    policy: Policy, env: AnyEnv, index: int, seed: int = 0, name: str = "policy"
 ) -> EpisodeRecord:
     """Return one episode from the heap's own start; see `run`."""
     heap = env.heaps[index]
@@ -136,7 +171,7 @@ def run_episode(
     while infos[-1]["end"] is None:
         action = _act(policy, obs, name)
         obs, _, _, _, info = env.step(action)
-        actions.append(np.asarray(action, np.float32))
+        actions.append(np.asarray(action, env.action_space.dtype))
         infos.append(info)
         # After a failure only the state before it can be trusted.
         states.append(states[-1] if info["failure"] else env.state)
@@ -160,7 +195,13 @@ def run_episode(
         target_moved=np.array([step["target_moved"] for step in steps]),
         end=steps[-1]["end"],
         action_limit=env.config.max_actions,
+        retrieval=_retrieval(steps) if isinstance(env, RetrieveEnv) else None,
     )
+
+
+def _retrieval(infos: Sequence[Mapping[str, Any]]) -> RetrievalRecord:
+    outcomes = tuple(str(info["outcome"]) for info in infos)
+    return RetrievalRecord(outcomes, tuple(tuple(info["held"]) for info in infos))
 
 
 def _act(policy: Policy, obs: Observation, name: str) -> Array:
@@ -183,6 +224,7 @@ def evaluate(
     seed: int = 0,
     task: TaskConfig | None = None,
     workers: int = 1,
+    grippers: Sequence[str] = (),
 ) -> Evaluation:
     """Return one episode of a policy on each of some heaps: what `mechsearch evaluate` records.
 
@@ -195,6 +237,7 @@ def evaluate(
         seed: Of the policy's own randomness.
         task: The task.
         workers: Processes; the episodes do not depend on their number.
+        grippers: Names of the robot's grippers, for a policy that retrieves.
 
     Raises:
         MechSearchError: If something is named that does not exist or fit, the policy cannot see in
@@ -202,7 +245,8 @@ def evaluate(
     """
     file = None if heaps is None else Path(heaps)
     return evaluate_plan(
-        EvaluationPlan(policy, file, "", objects, split, limit, seed, task), workers
+        EvaluationPlan(policy, file, "", objects, split, limit, seed, task, tuple(grippers)),
+        workers,
     )
 
 
@@ -331,18 +375,34 @@ class _Rollouts:
 
     @cached_property
     def own_task(self) -> TaskConfig:
-        return task_of(self.policy, self.plan.run, self.heap_set.camera)
+        return self._for_goal(task_of(self.policy, self.plan.run, self.heap_set.camera))
 
     @cached_property
     def task(self) -> TaskConfig:
-        task = self.plan.task or self.own_task
+        task = self._for_goal(self.plan.task) if self.plan.task else self.own_task
         check_view(self.policy, self.plan.run, task, self.plan.title)
+        if isinstance(task, RetrieveConfig) and isinstance(self.policy, Equipped):
+            self.policy.equip(task.grippers)
+        return task
+
+    def _for_goal(self, task: TaskConfig) -> TaskConfig:
+        """Return a task for what the policy is after, with the grippers that are asked for."""
+        grippers = self.plan.grippers
+        if goal_of(self.policy) == RETRIEVE:
+            task = RetrieveConfig.of_task(task, RETRIEVAL_KEYS)
+            return replace(task, grippers=grippers) if grippers else task
+        if grippers:
+            raise MechSearchError(
+                f"{self.plan.policy_text} uncovers, and has no use for {'+'.join(grippers)}; "
+                "expected a policy that retrieves"
+            )
         return task
 
     @cached_property
-    def env(self) -> HeapEnv:
-        config = HeapEnvConfig.of_task(self.task, self.policy.keys)
-        return HeapEnv(self.heap_set.heaps, self.opened[1], config)
+    def env(self) -> AnyEnv:
+        kind = RetrieveConfig if isinstance(self.task, RetrieveConfig) else HeapEnvConfig
+        config = kind.of_task(self.task, self.policy.keys)
+        return _environment(self.heap_set, self.opened[1], config)
 
     @property
     def header(self) -> dict[str, Any]:
@@ -368,9 +428,17 @@ class _Rollouts:
             "version": version("mechsearch"),
             "fingerprint": fingerprint(),
         }
+        if isinstance(self.env, RetrieveEnv):
+            header["goal"] = RETRIEVE
         # As it will be read back: lists for tuples.
         plain: dict[str, Any] = json.loads(json.dumps(header))
         return plain
+
+
+def _environment(heap_set: HeapSet, objects: ObjectSet, config: HeapEnvConfig) -> AnyEnv:
+    if isinstance(config, RetrieveConfig):
+        return RetrieveEnv(heap_set.heaps, objects, config)
+    return HeapEnv(heap_set.heaps, objects, config)
 
 
 @dataclass(frozen=True)
@@ -423,7 +491,8 @@ def replay_all(
             f"{heaps} has the hash {heap_set.hash[:12]}; these episodes ran on the heap set "
             f"{str(evaluation.header['heap_set'])[:12]}"
         )
-    config = task_from_json(HeapEnvConfig, evaluation.header["env"])
+    kind = RetrieveConfig if evaluation.header.get("goal") == RETRIEVE else HeapEnvConfig
+    config = task_from_json(kind, evaluation.header["env"])
     # No image is looked at: what is recorded does not depend on what the policy saw.
     play = _Play(heaps, spec, replace(config, keys=("ee_position",)))
     name = f"{evaluation.header['name']} played again"
@@ -446,6 +515,8 @@ def record_differences(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[
             found.append(f"{name} of {len(now)} entries instead of {len(before)}")
         elif before.tobytes() != now.tobytes():
             found.append(f"{name} from {_first(before, now)} on")
+    if recorded.retrieval != played.retrieval:
+        found.append("outcomes of decisions, or what came up")
     if recorded.end != played.end:
         found.append(f"the end, {played.end!r} instead of {recorded.end!r}")
     return tuple(found)
@@ -482,9 +553,8 @@ class _Play:
         return EpisodeCheck(record.heap_seed, record_differences(record, played))
 
     @cached_property
-    def _env(self) -> HeapEnv:
-        heap_set, objects = open_heaps(self.heaps, self.objects)
-        return HeapEnv(heap_set.heaps, objects, self.config)
+    def _env(self) -> AnyEnv:
+        return _environment(*open_heaps(self.heaps, self.objects), self.config)
 
 
 class _Recorded:

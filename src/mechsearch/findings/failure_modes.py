@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.evaluation.episodes import EpisodeRecord
+from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
 from mechsearch.types import Floats
 
 SUCCESS = "success"
@@ -83,7 +83,7 @@ def mode_of(record: EpisodeRecord) -> EpisodeMode:
 
 
 def _mode(record: EpisodeRecord, first: int, last: int) -> str:
-    if record.uncovered:
+    if record.uncovered or record.end == IN_HAND:
         return SUCCESS
     if record.end == "lost":
         return LOST

@@ -7,9 +7,9 @@ import numpy as np
 
 from mechsearch.evaluation.episodes import (
     GRASP_METRICS,
-    METRICS,
     EpisodeRecord,
     Estimate,
+    metrics_of,
     score,
     score_by_count,
 )
@@ -51,6 +51,13 @@ DISPLAYS = {
     "graspability_change": Display("graspability gained", 1, 2),
     "retrieval_before": Display("retrieved at the start [%]", 100, 0),
     "retrieval_after": Display("retrieved at the end [%]", 100, 0),
+    "retrieved_within_1": Display("retrieved at once [%]", 100, 0),
+    "retrieved_within_3": Display("within 3 attempts [%]", 100, 0),
+    "retrieved_within_5": Display("within 5 attempts [%]", 100, 0),
+    "grasp_attempts": Display("attempts", 1, 1),
+    "push_actions": Display("pushes", 1, 1),
+    "removals": Display("removals", 1, 1),
+    "wrong_objects": Display("wrong objects", 1, 2),
 }
 
 
@@ -127,15 +134,15 @@ def score_table(
     caption: str = "Scores",
     facts: Mapping[str, Sequence[str]] | None = None,
 ) -> Table:
-    """Return policies in rows, and `METRICS` and those of `GRASP_METRICS` there are in columns.
+    """Return policies in rows, and the metrics of their goal that there are in columns.
 
     Args:
         scores: Of each policy, by its name.
         caption: Of the table.
         facts: Columns to put before the scores: of each policy, by their headings.
     """
-    grasped = [name for name in GRASP_METRICS if any(name in row for row in scores.values())]
-    table = policy_table(caption, scores, (*METRICS, *grasped))
+    measured = dict.fromkeys(metric for row in scores.values() for metric in row)
+    table = policy_table(caption, scores, metrics_of(measured))
     before = facts or {}
     rows = (
         (name, *(column[i] for column in before.values()), *cells)
@@ -176,14 +183,30 @@ def evaluation_tables(
         recorded: Episodes of each, with or without grasps.
         brief: Whether to leave out reward terms and scores by number of objects.
     """
+    retrieving = {n: found for n, found in recorded.items() if all(r.retrieval for r in found)}
+    uncovering = {n: found for n, found in recorded.items() if n not in retrieving}
+    return [
+        table
+        for caption, group in (("Scores", uncovering), ("Scores of retrieval", retrieving))
+        if group
+        for table in _tables_of_goal(caption, group, brief)
+    ]
+
+
+def _tables_of_goal(
+    caption: str, recorded: Mapping[str, Sequence[EpisodeRecord]], brief: bool
+) -> list[Table]:
     scores = {name: score(records) for name, records in recorded.items()}
-    shown = [score_table(scores)]
+    shown = [score_table(scores, caption)]
     if all(record.grasp for records in recorded.values() for record in records):
         shown.append(_grasp_table(recorded, scores))
     if not brief:
         by_count = {name: score_by_count(records) for name, records in recorded.items()}
         shown.append(terms_table(scores))
-        shown += [count_table(by_count, metric) for metric in METRICS]
+        metrics = metrics_of(next(iter(scores.values())))
+        shown += [
+            count_table(by_count, metric) for metric in metrics if metric not in GRASP_METRICS
+        ]
     return shown
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.files import record_from_json
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import PushValuesConfig, PushValuesSession

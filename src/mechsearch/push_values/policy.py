@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import preset
-from mechsearch.env.heap_env import TaskConfig
 from mechsearch.env.reward import RewardConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.push_values.value import Continuation, PushValue
 from mechsearch.pushes.push import Push, draw_pushes
 from mechsearch.pushes.view import PlannedPush, Sight, look, view_pushes

@@ -122,6 +122,12 @@ class Gripper:
             _box_model("finger1", self.finger_box, (38, 40, 46)),
         ]
 
+    def closed_model(self) -> ObjectModel:
+        """Return the closed jaws for rendering, their tips at the origin."""
+        palm = self.palm_place + np.array([0.0, 0.0, self.reach])
+        finger = np.array([self.thickness, 0.0, self.length]) / 2
+        return _joined(self.models(), [palm, finger, finger * [-1.0, 1.0, 1.0]])
+
 
 @dataclass(frozen=True)
 class SuctionCup:
@@ -190,6 +196,11 @@ class SuctionCup:
             _mesh_model("tube", tube, (84, 88, 98)),
         ]
 
+    def closed_model(self) -> ObjectModel:
+        """Return cup and tube for rendering, the lip's middle at the origin."""
+        heights = (0.002, (self.length + 0.004) / 2)
+        return _joined(self.models(), [np.array([0.0, 0.0, height]) for height in heights])
+
 
 AnyGripper = Gripper | SuctionCup
 
@@ -227,6 +238,18 @@ def _mesh_model(name: str, mesh: trimesh.Trimesh, colour: tuple[int, int, int]) 
     return ObjectModel(
         name, "robot", vertices, faces, texels, (vertices,), 1.0, np.eye(3), 0.5, 0.0
     )
+
+
+def _joined(models: Sequence[ObjectModel], places: Sequence[Floats]) -> ObjectModel:
+    """Return one model of several, each at its place (3,)."""
+    starts = np.cumsum([0, *(len(model.vertices) for model in models[:-1])])
+    vertices = np.concatenate([m.vertices + at for m, at in zip(models, places, strict=True)])
+    faces = np.concatenate([m.faces + at for m, at in zip(models, starts, strict=True)])
+    texels = np.concatenate([model.texels for model in models])
+    return ObjectModel(
+        "gripper", "robot", vertices, faces.astype(np.int32), texels, (vertices,), 1.0,
+        np.eye(3), 0.5, 0.0,
+    )  # fmt: skip
 
 
 def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, touches: int, table: int) -> None:

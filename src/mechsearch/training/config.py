@@ -9,7 +9,7 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.algorithm import RunConfig, Schedule
 from mechsearch.entry_point import is_entry_point
-from mechsearch.env.heap_env import TaskConfig, task_from_json
+from mechsearch.env.task import TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.training.algorithms import ALGORITHMS, make_algorithm, name_of

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.algorithm import Algorithm
-from mechsearch.env.heap_env import TaskConfig
+from mechsearch.env.task import TaskConfig
 from mechsearch.files import POLICY_FILE
 from mechsearch.files.tensors import Archive, kind_of, load_archive, save_archive
 from mechsearch.training.algorithms import make_algorithm, name_of

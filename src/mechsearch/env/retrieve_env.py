@@ -1,0 +1,389 @@
+"""The decision process of retrieval: push, grasp and put aside until the target is in the hand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from mechsearch.env.decision import KINDS, STEEPEST, Decision, DecisionSpace
+from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
+from mechsearch.env.task import HeapEnvConfig, with_settings
+from mechsearch.geometry import rotation_from_quaternion
+from mechsearch.grasp.grasp_view import grasp_camera, see_heap
+from mechsearch.heaps.dataset import Heap
+from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.observe.observation import KEYS
+from mechsearch.sim.gripper import gripper_named
+from mechsearch.sim.gripper_world import GripperWorld
+from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
+from mechsearch.sim.scene import Pusher
+from mechsearch.types import (
+    BUDGET_KEYS,
+    GRASP,
+    GRASP_KEYS,
+    PUSH,
+    REMOVE,
+    RETRIEVAL_KEYS,
+    USED_UP,
+    Array,
+    Floats,
+    MechSearchError,
+)
+
+_BELOW = 0.01
+"""How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
+
+
+@dataclass(frozen=True)
+class RetrievalReward:
+    """Weights of the reward's terms.
+
+    Attributes:
+        retrieved: For the target in the hand.
+        action: Cost of each decision.
+        movement: Cost of each metre that the mean non-target object moves.
+    """
+
+    retrieved: float = 1.0
+    action: float = 0.01
+    movement: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not isfinite(value):
+                raise MechSearchError(f"retrieval.{name} is {value}; expected a finite number")
+
+
+@dataclass(frozen=True)
+class RetrieveConfig(HeapEnvConfig):
+    """The task of retrieval, and what an environment shows of it.
+
+    `uncovered_at` and `reward` are about pushing alone and mean nothing here.
+
+    Attributes:
+        keys: Observation keys; see `types`.
+        grippers: Names of the robot's grippers; the first one, closed, pushes.
+        max_grasps: Grasps of the target in an episode.
+        max_removals: Removals of other objects in an episode.
+        perturbed: Whether each grasp is off by what the lift test calls uncertain; the draws depend
+            on the heap's seed and the number of the attempt alone.
+        retrieval: Weights of the reward.
+    """
+
+    keys: tuple[str, ...] = RETRIEVAL_KEYS
+    grippers: tuple[str, ...] = ("jaws-85",)
+    max_grasps: int = 8
+    max_removals: int = 8
+    perturbed: bool = False
+    retrieval: RetrievalReward = field(default_factory=RetrievalReward)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.grippers or len(set(self.grippers)) < len(self.grippers):
+            raise MechSearchError(
+                f"grippers are {', '.join(self.grippers) or 'none'}; expected one or more, no two "
+                "alike"
+            )
+        for name in self.grippers:
+            gripper_named(name)
+        for name, least in (("max_grasps", 1), ("max_removals", 0)):
+            if getattr(self, name) < least:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least {least}")
+        if self.pusher != Pusher():
+            raise MechSearchError(
+                f"a pusher of its own, {self.pusher}; in retrieval the first of the grippers pushes"
+            )
+
+
+class RetrieveEnv(gymnasium.Env[Any, Array]):
+    """Episodes over a list of heaps, each until the target is in the hand.
+
+    An action is the vector (9,) of a `Decision`, and is carried out to its end. A push moves the
+    closed jaws of the first gripper by at most 5 cm. A grasp, of the target, and a removal, of any
+    other object, descend, close, lift and shake; then
+
+    - the target alone in the hand ends the episode: "retrieved";
+    - of a removal, all else that came up goes into a tray, off the table;
+    - anything else is lowered to where it was, and released; the gripper leaves, the heap settles.
+
+    The episode ends with "budget" when no grasp is left, or when a decision is of a kind of which
+    none is left, which is then not carried out; with "lost" when the target leaves the table; and
+    with "failure: ..." when physics fails, which counts as no success and must not be learnt from.
+    `reset(options=...)` takes what `HeapEnv.reset` takes.
+
+    `info` holds `reward_terms`, `occlusion`, `end`, `failure`, `clutter_moved` and `target_moved`
+    as in `HeapEnv`, where what is lifted off the table has not moved; and `outcome` ("" of a push,
+    a value of `sim.lift.Outcome`, or "used up"; a removal that put something aside is a success),
+    `held` (indices of the objects that came up), `retrieved`, and the numbers so far of `pushes`,
+    `grasps`, `removals` and `wrong_objects` (grasps that brought up others without the target).
+
+    Attributes:
+        film: Takes the frames of grasps and removals, if it is a list.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+
+    def __init__(
+        self,
+        heaps: Sequence[Heap],
+        objects: ObjectSet,
+        config: RetrieveConfig | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """Prepare the task; nothing is simulated yet.
+
+        Args:
+            heaps: Start states.
+            objects: The set that the heaps' names refer to.
+            config: The task.
+            render_mode: "rgb_array" or None.
+
+        Raises:
+            MechSearchError: If there is no heap, one names an unknown object, or a key is unknown.
+        """
+        self.config = config or RetrieveConfig()
+        self.render_mode = render_mode
+        self.film: list[LiftFrame] | None = None
+        keys, own = self.config.all_keys, (*GRASP_KEYS, *BUDGET_KEYS)
+        unknown = [key for key in keys if key not in (*KEYS, *own)]
+        if unknown:
+            raise MechSearchError(
+                f"unknown observation key {unknown[0]!r}; choose among {', '.join((*KEYS, *own))}"
+            )
+        self._grippers = [gripper_named(name) for name in self.config.grippers]
+        self._scene = HeapScene(
+            heaps, objects, self.config, [key for key in keys if key not in own], self._world_of,
+            self._grippers[0].closed_model(),
+        )  # fmt: skip
+        self.heaps, self.objects = self._scene.heaps, objects
+        self.observation_space = gymnasium.spaces.Dict(self._spaces())
+        self.action_space = DecisionSpace(len(self._grippers), self.config.workspace)
+        self._spent, self._wrong, self._over = [0, 0, 0], 0, True
+
+    @property
+    def heap(self) -> Heap:
+        """The heap of the current episode.
+
+        Raises:
+            MechSearchError: If none has begun.
+        """
+        return self._scene.heap
+
+    @property
+    def world(self) -> GripperWorld:
+        """The physics of the current episode, for measurements; stepping it is cheating."""
+        _ = self.heap
+        return self._scene.world
+
+    @property
+    def state(self) -> HeapState:
+        """The true state; what is in the tray is said to lie beside the table."""
+        return self._scene.state
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Start an episode."""
+        super().reset(seed=seed)
+        index = self._scene.reset(self.np_random, options or {})
+        self._spent, self._wrong, self._over = [0, 0, 0], 0, False
+        return self._observe(), {"occlusion": self._scene.occlusion, "heap": index}
+
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Carry out one decision.
+
+        Raises:
+            MechSearchError: If the action is no decision, a grasp is out of reach, or the episode
+                is over.
+        """
+        decision = Decision.of(action)
+        self._check(decision)
+        if self._over:
+            raise MechSearchError("the episode is over; call reset before the next step")
+        scene, kind = self._scene, decision.kind
+        if not self._left(kind):
+            scene.stay()
+            return self._result(USED_UP, (), "budget")
+        self._spent[kind] += 1
+        outcome, held, failure = self._push(decision) if kind == PUSH else self._grasp(decision)
+        if failure is not None:
+            return self._result(outcome, (), f"failure: {failure}", failure)
+        end = None
+        if held == (scene.heap.target,):
+            end = "retrieved"
+        elif not scene.target_is_present:
+            end = "lost"
+        elif not self._left(GRASP):
+            end = "budget"
+        return self._result(outcome, held, end)
+
+    def render(self) -> Array | None:
+        """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
+        if self.render_mode != "rgb_array":
+            return None
+        _ = self.heap
+        return self._scene.frame(256, colour=True).rgb
+
+    def snapshot(self) -> dict[str, Array]:
+        """Return all that the rest of the episode depends on, as arrays."""
+        return self._scene.snapshot() | {
+            "actions": np.array(self._spent[PUSH]),
+            "grasps": np.array(self._spent[GRASP]),
+            "removals": np.array(self._spent[REMOVE]),
+            "wrong_objects": np.array(self._wrong),
+            "over": np.array(self._over),
+        }
+
+    def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
+        """Return to a snapshot, exactly; return its observation."""
+        self._scene.restore(snapshot)
+        self._spent = [int(snapshot[name]) for name in ("actions", "grasps", "removals")]
+        self._wrong = int(snapshot["wrong_objects"])
+        self._over = bool(snapshot["over"])
+        return self._observe()
+
+    def _world_of(self, models: Sequence[ObjectModel]) -> GripperWorld:
+        return GripperWorld(models, self._grippers, self.config.workspace, self.config.physics)
+
+    def _check(self, decision: Decision) -> None:
+        """Refuse what no gripper of this robot can reach."""
+        names, workspace = self.config.grippers, self.config.workspace
+        if not 0 <= decision.gripper < len(names):
+            raise MechSearchError(
+                f"gripper {decision.gripper} does not exist; choose 0 to {len(names) - 1} of "
+                f"{', '.join(names)}"
+            )
+        if decision.kind == PUSH:
+            return
+        half, high = workspace.table_half, workspace.high
+        x, y, z, *quaternion = decision.numbers
+        up = float(rotation_from_quaternion(quaternion)[2, 2])
+        if max(abs(x), abs(y)) > half or not -_BELOW <= z <= high or up < STEEPEST:
+            raise MechSearchError(
+                f"a {KINDS[decision.kind]} at ({x:.3f}, {y:.3f}, {z:.3f}) m, tilted by "
+                f"{np.rad2deg(np.arccos(np.clip(up, -1, 1))):.0f} degrees, is out of reach; "
+                f"expected x and y within {half} m of the middle, a height up to {high} m, and a "
+                "tilt up to 60 degrees"
+            )
+
+    def _left(self, kind: int) -> int:
+        """Return how many decisions of a kind are left."""
+        config = self.config
+        most = (config.max_actions, config.max_grasps, config.max_removals)
+        return most[kind] - self._spent[kind]
+
+    def _push(self, decision: Decision) -> tuple[str, tuple[int, ...], str | None]:
+        """Carry out a push; the result is like that of `_grasp`."""
+        command = self._scene.world.pusher_position + displacement(np.array(decision.numbers))
+        return "", (), self._scene.push(self.config.workspace.clip(command))
+
+    def _grasp(self, decision: Decision) -> tuple[str, tuple[int, ...], str | None]:
+        """Carry out a grasp or a removal; return its outcome, what came up, and a failure."""
+        scene, target = self._scene, self._scene.heap.target
+        world, removal = scene.world, decision.kind == REMOVE
+        pose, friction = self._executed(decision)
+        attempt = world.attempt(target, pose, decision.gripper, friction, self.film)
+        if attempt.outcome == Outcome.FAILURE:
+            name = world.failure() or "grasp"
+            scene.go_back()
+            return str(Outcome.FAILURE), (), name
+        held = attempt.held
+        away = held if held == (target,) or (removal and target not in held) else ()
+        if away:
+            world.stow()
+        else:
+            world.release(self.film)
+        world.settle()
+        failure = scene.look(away)
+        if failure is not None:
+            return str(Outcome.FAILURE), (), failure
+        self._wrong += bool(held) and not removal and target not in held
+        return str(Outcome.SUCCESS if away else attempt.outcome), held, None
+
+    def _executed(self, decision: Decision) -> tuple[Floats, float | None]:
+        """Return the pose (7,) that a grasp really has, and its friction; None is the usual one."""
+        pose = np.array(decision.numbers)
+        if not self.config.perturbed:
+            return pose, None
+        number = self._spent[GRASP] + self._spent[REMOVE]
+        rng = np.random.default_rng([self.heap.seed, 2, number])
+        return perturbed(pose, rng, Perturbation())
+
+    def _spaces(self) -> dict[str, gymnasium.Space[Any]]:
+        """Return the space of each key, in their order."""
+        camera, config = grasp_camera(), self.config
+        size, most = (camera.height, camera.width), np.iinfo(np.int64).max
+        spaces = dict(self._scene.observer.space.spaces) | {
+            "grasp_depth": gymnasium.spaces.Box(0.0, 10.0, size, np.float32),
+            "segments": gymnasium.spaces.Box(0, 255, size, np.uint8),
+            **{key: gymnasium.spaces.Box(0, most, (1,), np.int64) for key in BUDGET_KEYS},
+        }
+        return {key: spaces[key] for key in config.all_keys}
+
+    def _observe(self) -> dict[str, Array]:
+        scene, keys = self._scene, self.config.all_keys
+        seen = scene.observe()
+        if any(key in GRASP_KEYS for key in keys):
+            poses = scene.poses.copy()
+            # What is gone is out of view.
+            poses[~scene.present, 0] += 10.0
+            view = see_heap(scene.renderer, poses, scene.heap.target)
+            seen["grasp_depth"], seen["segments"] = view.depth, view.segments
+        for kind, key in enumerate(BUDGET_KEYS):
+            seen[key] = np.array([self._left(kind)])
+        return {key: seen[key] for key in keys}
+
+    def _result(
+        self,
+        outcome: str,
+        held: tuple[int, ...],
+        end: str | None,
+        failure: str | None = None,
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        scene, weights = self._scene, self.config.retrieval
+        clutter, retrieved = scene.clutter, end == "retrieved"
+        clutter_moved = float(clutter.sum()) / max(len(clutter), 1)
+        self._over, terminated = end is not None, end in ("lost", "retrieved")
+        terms = {
+            "retrieved": weights.retrieved * retrieved,
+            "actions": -weights.action,
+            "clutter_movement": -weights.movement * clutter_moved,
+        }
+        if failure is not None:
+            terms = dict.fromkeys(terms, 0.0)
+        info = {
+            "reward_terms": terms,
+            "occlusion": scene.occlusion,
+            "end": end,
+            "failure": failure,
+            "clutter_moved": clutter_moved,
+            "target_moved": float(scene.moved[scene.heap.target]),
+            "outcome": outcome,
+            "held": held,
+            "retrieved": retrieved,
+            "pushes": self._spent[PUSH],
+            "grasps": self._spent[GRASP],
+            "removals": self._spent[REMOVE],
+            "wrong_objects": self._wrong,
+        }
+        truncated = self._over and not terminated
+        return self._observe(), float(sum(terms.values())), terminated, truncated, info
+
+
+def make_retrieve_env(
+    condition: str = "single",
+    heaps: str | Path | None = None,
+    objects: str = "household",
+    split: str = "train",
+    config: RetrieveConfig | None = None,
+    render_mode: str | None = None,
+    **settings: Any,
+) -> RetrieveEnv:
+    """Return an environment of retrieval; arguments and errors are those of `make_env`."""
+    chosen, object_set, camera = choose_heaps(condition, heaps, objects, split)
+    task = with_settings(config or RetrieveConfig(camera=camera), settings)
+    return RetrieveEnv(chosen, object_set, task, render_mode)

@@ -1,0 +1,346 @@
+"""The heap that an environment shows: physics, true poses, occlusion, images, observations."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from mechsearch.camera import preset
+from mechsearch.env.task import HeapEnvConfig
+from mechsearch.geometry import cap_length
+from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
+from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.observe.observation import Observer, Scene, others
+from mechsearch.render.renderer import Frame, Renderer
+from mechsearch.sim.world import World
+from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError
+
+_WORLDS_KEPT = 8
+
+_TRAY_AWAY = 0.2
+"""Between the table and the tray beside it, out of every camera's view [m]."""
+
+W = TypeVar("W", bound=World)
+
+
+@dataclass(frozen=True)
+class HeapState:
+    """The true state, for records and pictures; no policy sees it.
+
+    Attributes:
+        poses: Of all objects (N, 7).
+        ee_position: End effector (3,) [m].
+        occlusion: Of the target, in [0, 1]; 1 when it is lost.
+    """
+
+    poses: Floats
+    ee_position: Floats
+    occlusion: float
+
+
+class HeapScene(Generic[W]):
+    """One heap at a time, as physics and cameras have it; what it means is the environment's.
+
+    Attributes:
+        observer: Makes the observations, and knows their space.
+        camera: From which occlusion is measured.
+        world: The physics.
+        renderer: Of its objects and the end effector.
+        poses: Of all objects (N, 7); those that left the table keep their last ones.
+        present: Which objects are still on the table (N,).
+        occlusion: Of the target, in [0, 1].
+        moved: How far the last action has moved each object (N,) [m].
+    """
+
+    world: W
+    renderer: Renderer
+    poses: Floats
+    present: Array
+    occlusion: float
+    moved: Floats
+
+    def __init__(
+        self,
+        heaps: Sequence[Heap],
+        objects: ObjectSet,
+        config: HeapEnvConfig,
+        keys: Sequence[str],
+        world_of: Callable[[Sequence[ObjectModel]], W],
+        effector: ObjectModel,
+    ) -> None:
+        """Prepare for a list of heaps; none is on the table yet.
+
+        Args:
+            heaps: Start states.
+            objects: The set that the heaps' names refer to.
+            config: The task.
+            keys: Observation keys.
+            world_of: Makes the physics of some objects.
+            effector: What is seen of the end effector, its origin at the tip.
+
+        Raises:
+            MechSearchError: If there is no heap, one names an unknown object, or a key is unknown.
+        """
+        self.heaps = tuple(heaps)
+        self._objects, self._config = objects, config
+        self._world_of, self._effector = world_of, effector
+        if not self.heaps:
+            raise MechSearchError("an environment needs at least one heap; got none")
+        missing = sorted({n for h in heaps for n in h.objects if n not in objects.models})
+        if missing:
+            raise MechSearchError(
+                f"object set {objects.name!r} lacks {', '.join(missing[:5])}; the heaps were made "
+                "with another set"
+            )
+        largest = max(len(heap.objects) for heap in heaps) - 1
+        if config.max_clutter != 0 and config.max_clutter < largest:
+            raise MechSearchError(
+                f"max_clutter is {config.max_clutter}, but a heap has {largest} non-target "
+                f"objects; expected at least {largest}, or 0 to fit"
+            )
+        self._labels = {name: i for i, name in enumerate(objects.models)}
+        self.observer = Observer(
+            keys,
+            preset(config.camera, config.image_size),
+            config.max_clutter or largest,
+            len(self._labels),
+            reach=2.0,
+        )
+        # Occlusion is measured from the standard view, whatever the policy's image size.
+        self.camera = preset(config.camera)
+        self._kept: OrderedDict[int, tuple[W, Renderer]] = OrderedDict()
+        self._index = -1
+
+    @property
+    def heap(self) -> Heap:
+        """The heap on the table.
+
+        Raises:
+            MechSearchError: If there is none yet.
+        """
+        if self._index < 0:
+            raise MechSearchError("no episode has begun; call reset first")
+        return self.heaps[self._index]
+
+    @property
+    def state(self) -> HeapState:
+        """The true state."""
+        _ = self.heap
+        return HeapState(self.poses.copy(), self.world.pusher_position, self.occlusion)
+
+    @property
+    def clutter(self) -> Floats:
+        """How far the last action has moved each non-target object (N - 1,) [m]."""
+        return self.moved[others(self.heap.target, len(self.moved))]
+
+    @property
+    def target_is_present(self) -> bool:
+        """Whether the target is still on the table."""
+        return bool(self.present[self.heap.target])
+
+    def reset(self, rng: np.random.Generator, options: Mapping[str, Any]) -> int:
+        """Put a heap on the table as it was made; return its index.
+
+        Args:
+            rng: Draws the heap, and where the end effector starts.
+            options: Of `HeapEnv.reset`.
+
+        Raises:
+            MechSearchError: If there is no such heap, or no room for a start.
+        """
+        index = options.get("heap")
+        if index is None:
+            index = int(rng.integers(len(self.heaps)))
+        if not 0 <= index < len(self.heaps):
+            raise MechSearchError(f"heap {index} does not exist; choose 0 to {len(self.heaps) - 1}")
+        self._open(index)
+        heap = self.heap
+        if options.get("fixed_start", False):
+            rng = np.random.default_rng([heap.seed, 1])
+        self.world.reset(heap.poses, self._sample_start(rng))
+        self.poses = self.world.poses
+        self.present = np.ones(len(heap.objects), np.bool_)
+        self.moved = np.zeros(len(heap.objects))
+        self.occlusion = self._measure_occlusion()
+        return int(index)
+
+    def push(self, goal: Floats) -> str | None:
+        """Push towards a point (3,) [m]; return the name of a simulator failure, or None."""
+        if self.world.push(goal):
+            return self.look()
+        self.stay()
+        return None
+
+    def look(self, stowed: Sequence[int] = ()) -> str | None:
+        """Take what an action came to; return the name of a simulator failure, or None.
+
+        After a failure the last trusted state is put back.
+
+        Args:
+            stowed: Objects that the world has just put into a tray; they have not moved.
+        """
+        failure = self.world.failure()
+        if failure is not None:
+            self.go_back()
+            return failure
+        before, present = self.poses, self.present
+        self._update_poses(stowed)
+        way = self.poses[:, :3] - before[:, :3]
+        self.moved = np.sqrt((way * way).sum(axis=1)) * present
+        self.moved[list(stowed)] = 0.0
+        if self.heap.target in stowed:
+            self.occlusion = 0.0
+        elif (self.poses != before).any():
+            self.occlusion = self._measure_occlusion()
+        return None
+
+    def go_back(self) -> None:
+        """Return to the state before an action whose physics failed."""
+        self.world.reset(self.poses)
+        self.stay()
+
+    def stay(self) -> None:
+        """Note that nothing has moved in the last action."""
+        self.moved = np.zeros(len(self.poses))
+
+    def frame(self, size: int, colour: bool) -> Frame:
+        """Return what the task's camera sees on an image of `size` [px]."""
+        camera = preset(self._config.camera, size)
+        return self.renderer.frame(camera, self.poses, self._effector_pose(), colour)
+
+    def observe(self) -> dict[str, Array]:
+        """Return a fresh observation."""
+        heap, depth, mask, rgb = self.heap, None, None, None
+        if self.observer.needs_images:
+            frame = self.frame(self._config.image_size, self.observer.needs_colour)
+            depth, mask, rgb = frame.depth, frame.modal(heap.target), frame.rgb
+        return self.observer.observe(
+            Scene(
+                depth=depth,
+                target_mask=mask,
+                rgb=rgb,
+                ee_position=self.world.pusher_position,
+                positions=self.poses[:, :3],
+                present=self.present,
+                target=heap.target,
+                label=self._labels[heap.objects[heap.target]],
+            )
+        )
+
+    def snapshot(self) -> dict[str, Array]:
+        """Return all that comes of it depends on, as arrays."""
+        _ = self.heap
+        return {
+            "heap": np.array(self._index),
+            "world": self.world.snapshot(),
+            "poses": self.poses.copy(),
+            "present": self.present.copy(),
+            "occlusion": np.array(self.occlusion),
+        }
+
+    def restore(self, snapshot: Mapping[str, Array]) -> None:
+        """Return to a snapshot, exactly."""
+        self._open(int(snapshot["heap"]))
+        self.world.restore(snapshot["world"])
+        self.poses = np.array(snapshot["poses"])
+        self.present = np.array(snapshot["present"])
+        self.occlusion = float(snapshot["occlusion"])
+        self.moved = np.zeros(len(self.poses))
+
+    def _open(self, index: int) -> None:
+        """Take a heap's physics and renderer, which are kept for some heaps."""
+        self._index, kept = index, self._kept
+        if index in kept:
+            kept.move_to_end(index)
+        else:
+            models = [self._objects.models[name] for name in self.heap.objects]
+            workspace = self._config.workspace
+            renderer = Renderer(models, self._effector, workspace.table_half, workspace.floor)
+            kept[index] = self._world_of(models), renderer
+            if len(kept) > _WORLDS_KEPT:
+                kept.popitem(last=False)
+        self.world, self.renderer = kept[index]
+
+    def _sample_start(self, rng: np.random.Generator) -> Floats:
+        """Return a contact-free position, uniform over the workspace, away from the target."""
+        heap = self.heap
+        centre = heap.poses[heap.target, :3]
+        for _ in range(1000):
+            position = self._config.workspace.sample(rng)
+            if np.linalg.norm(position - centre) < self._config.start_distance:
+                continue
+            self.world.reset(heap.poses, position)
+            if self.world.pusher_is_free():
+                return position
+        raise MechSearchError(
+            f"heap {heap.seed} leaves no room for a start at least "
+            f"{self._config.start_distance} m from its target"
+        )
+
+    def _update_poses(self, stowed: Sequence[int]) -> None:
+        """Take the objects' new poses; those that left the table stay where they left it.
+
+        Those in the tray lie beside the table as they lay on it.
+        """
+        poses = self.world.poses
+        if not self.present.all():
+            poses[~self.present] = self.poses[~self.present]
+        if stowed:
+            taken = list(stowed)
+            poses[taken] = self.poses[taken]
+            poses[taken, 0] += 2 * self._config.workspace.table_half + _TRAY_AWAY
+            self.present = np.where(np.isin(np.arange(len(poses)), taken), False, self.present)
+        gone = self.present & self._config.workspace.off_table(poses)
+        if gone.any():
+            for index in np.flatnonzero(gone):
+                self.world.remove(int(index))
+            self.present = self.present & ~gone
+        self.poses = poses
+
+    def _measure_occlusion(self) -> float:
+        if not self.present[self.heap.target]:
+            return 1.0
+        return self.renderer.occlusion(
+            self.camera, self.poses, self.heap.target, self.present, self._effector_pose()
+        )
+
+    def _effector_pose(self) -> Floats:
+        return self._config.pusher.pose(self.world.pusher_position)
+
+
+def displacement(action: Array) -> Floats:
+    """Return the commanded displacement (3,) [m] of an action, at most 5 cm long.
+
+    Raises:
+        MechSearchError: If the action has another shape or is not finite.
+    """
+    values = np.asarray(action, np.float64)
+    if values.shape != (3,):
+        raise MechSearchError(f"an action has shape (3,), in [-1, 1]; got shape {values.shape}")
+    numbers = values.tolist()
+    if not all(map(isfinite, numbers)):
+        raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
+    return cap_length([min(max(n, -1.0), 1.0) * ACTION_LENGTH for n in numbers], ACTION_LENGTH)
+
+
+def choose_heaps(
+    condition: str, heaps: str | Path | None, objects: str, split: str
+) -> tuple[list[Heap], ObjectSet, str]:
+    """Return the heaps of a split, their objects, and the camera that they were made for.
+
+    Args:
+        condition: "single" or "dual"; chooses among the embedded heaps.
+        heaps: Heap set file; None takes the embedded heaps of household objects.
+        objects: Object set that the heaps were made with.
+        split: "held-out", "train" or "all" of the heaps.
+
+    Raises:
+        MechSearchError: If a name is unknown, or heaps and objects do not fit.
+    """
+    file = embedded_file(condition) if heaps is None else Path(heaps)
+    heap_set, object_set = open_heaps(file, objects)
+    return [heap_set.heaps[i] for i in heap_set.choose(split)], object_set, heap_set.camera

@@ -1,0 +1,142 @@
+"""The task as a record: what is seen, rewarded and possible."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from math import inf
+from operator import attrgetter
+from typing import Any, Self, TypeVar
+
+from mechsearch.camera import preset
+from mechsearch.env.reward import RewardConfig
+from mechsearch.files import record_from_json
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
+
+_LEAST = {
+    "max_actions": 1, "start_distance": 0, "uncovered_at": 0, "physics.action_steps": 1,
+    "physics.rest_steps": 0, "physics.solver_iterations": 1, "physics.sleep_speed": 0,
+    "physics.clearance": 0, "physics.still_speed": 0, "physics.still_spin": 0, "workspace.low": 0,
+    "pusher.friction": 0,
+}  # fmt: skip
+_ABOVE_0 = (
+    "physics.time_step", "physics.deep_penetration", "physics.explosion_speed", "workspace.half",
+    "workspace.table_half", "pusher.radius", "pusher.mass", "pusher.stiffness", "pusher.force",
+)  # fmt: skip
+_SHOWN = ("keys", "privileged", "max_clutter")
+_MAY_BE_INFINITE = ("physics.clearance", "physics.deep_penetration", "physics.explosion_speed")
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """The task: what is seen, rewarded and possible, whatever the heaps and whoever acts.
+
+    Attributes:
+        camera: View of all images and of occlusion: "overhead" or "tilted".
+        image_size: Side of the square images [px].
+        max_actions: Length of an episode (paper: 50).
+        uncovered_at: Occlusion up to which the target counts as completely visible.
+        start_distance: Least distance from start to target [m] (paper: 0.2).
+        reward: Terms and weights of the reward.
+        physics: Numerical choices.
+        workspace: Table and bounds.
+        pusher: The end effector.
+    """
+
+    camera: str = "overhead"
+    image_size: int = 64
+    max_actions: int = 50
+    uncovered_at: float = 0.02
+    start_distance: float = 0.2
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    workspace: Workspace = field(default_factory=Workspace)
+    pusher: Pusher = field(default_factory=Pusher)
+
+    def __post_init__(self) -> None:
+        preset(self.camera, self.image_size)
+        physics, workspace, pusher = self.physics, self.workspace, self.pusher
+        least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
+        bounds = {"workspace.high": workspace.low, "pusher.length": 2 * pusher.radius}
+        more = dict.fromkeys(_ABOVE_0, 0) | bounds
+        shares = [0 < share < 1 for share in physics.contact_impedance]
+
+        def at(name: str) -> Any:
+            return attrgetter(name)(self)
+
+        rules = [
+            *((name, at(name) >= bound, f"at least {bound}") for name, bound in least.items()),
+            *((name, at(name) > bound, f"more than {bound}") for name, bound in more.items()),
+            ("uncovered_at", self.uncovered_at < 1, "less than 1"),
+            ("physics.contact_impedance", shares == [True] * 2, "two shares between 0 and 1"),
+            ("workspace.floor", workspace.floor <= 0, "at most 0, the table's height"),
+        ]
+        for name, holds, expected in rules:
+            if not holds or (at(name) in (inf, -inf) and name not in _MAY_BE_INFINITE):
+                raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
+
+
+@dataclass(frozen=True)
+class HeapEnvConfig(TaskConfig):
+    """The task, and what an environment shows of it.
+
+    Attributes:
+        keys: Observation keys; see `types`.
+        privileged: Whether to add the keys that critic and teachers read.
+        max_clutter: Entries of the padded clutter offsets; 0 takes the largest heap's.
+    """
+
+    keys: tuple[str, ...] = ACTOR_KEYS
+    privileged: bool = False
+    max_clutter: int = 0
+
+    @classmethod
+    def of_task(cls, task: TaskConfig, keys: Sequence[str], privileged: bool = False) -> Self:
+        """Return the configuration that shows some keys of a task."""
+        names = [f.name for f in fields(cls) if f.name not in _SHOWN and hasattr(task, f.name)]
+        shared = {name: getattr(task, name) for name in names}
+        return cls(**shared, keys=tuple(keys), privileged=privileged)
+
+    @property
+    def all_keys(self) -> tuple[str, ...]:
+        """The observation's keys, privileged ones included where asked for."""
+        extra = PRIVILEGED_KEYS if self.privileged else ()
+        return (*self.keys, *(key for key in extra if key not in self.keys))
+
+
+Task = TypeVar("Task", bound=TaskConfig)
+
+
+def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
+    """Return the task that `dataclasses.asdict` and JSON made, of this or an earlier version.
+
+    Args:
+        kind: `TaskConfig` or `HeapEnvConfig`.
+        data: Values by field.
+
+    Raises:
+        MechSearchError: If a field is unknown, or its value is one that this version has not.
+    """
+    reward = data.get("reward")
+    if isinstance(reward, Mapping) and "least_occlusion" in reward:
+        uncovered_at = data.get("uncovered_at", kind.uncovered_at)
+        if reward["least_occlusion"] != uncovered_at:
+            raise MechSearchError(
+                f"reward.least_occlusion is {reward['least_occlusion']}, and uncovered_at "
+                f"{uncovered_at}; this version has one number, uncovered_at, for both: use the "
+                "version that wrote it"
+            )
+        data = {**data, "reward": {k: v for k, v in reward.items() if k != "least_occlusion"}}
+    return record_from_json(kind, data)
+
+
+def with_settings(task: Task, settings: Mapping[str, Any]) -> Task:
+    """Return a task with some fields replaced.
+
+    Raises:
+        MechSearchError: If there is no such field.
+    """
+    known = [entry.name for entry in fields(task)]
+    unknown = [key for key in settings if key not in known]
+    if unknown:
+        raise MechSearchError(f"unknown setting {unknown[0]!r}; choose among {', '.join(known)}")
+    return replace(task, **settings)
