@@ -28,6 +28,9 @@ GRASP_KEYS = ("grasp_depth", "segments")
 BUDGET_KEYS = ("pushes_left", "grasps_left", "removals_left")
 """How many decisions of each kind a robot has left."""
 
+OCCLUSION_KEY = "occlusion"
+"""How much of the target is hidden, in [0, 1], which only a simulator knows."""
+
 RETRIEVAL_KEYS = (*ACTOR_KEYS, *GRASP_KEYS, *BUDGET_KEYS)
 """What is seen in retrieval."""
 

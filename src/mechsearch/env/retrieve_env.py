@@ -25,6 +25,7 @@ from mechsearch.types import (
     BUDGET_KEYS,
     GRASP,
     GRASP_KEYS,
+    OCCLUSION_KEY,
     PUSH,
     REMOVE,
     RETRIEVAL_KEYS,
@@ -148,7 +149,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         self.config = config or RetrieveConfig()
         self.render_mode = render_mode
         self.film: list[LiftFrame] | None = None
-        keys, own = self.config.all_keys, (*GRASP_KEYS, *BUDGET_KEYS)
+        keys, own = self.config.all_keys, (*GRASP_KEYS, *BUDGET_KEYS, OCCLUSION_KEY)
         unknown = [key for key in keys if key not in (*KEYS, *own)]
         if unknown:
             raise MechSearchError(
@@ -157,7 +158,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         self._grippers = [gripper_named(name) for name in self.config.grippers]
         self._scene = HeapScene(
             heaps, objects, self.config, [key for key in keys if key not in own], self._world_of,
-            self._grippers[0].closed_model(),
+            self._grippers[0].closed_model(), robot_in_view=False,
         )  # fmt: skip
         self.heaps, self.objects = self._scene.heaps, objects
         self.observation_space = gymnasium.spaces.Dict(self._spaces())
@@ -321,6 +322,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             "grasp_depth": gymnasium.spaces.Box(0.0, 10.0, size, np.float32),
             "segments": gymnasium.spaces.Box(0, 255, size, np.uint8),
             **{key: gymnasium.spaces.Box(0, most, (1,), np.int64) for key in BUDGET_KEYS},
+            OCCLUSION_KEY: gymnasium.spaces.Box(0.0, 1.0, (1,), np.float64),
         }
         return {key: spaces[key] for key in config.all_keys}
 
@@ -335,6 +337,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             seen["grasp_depth"], seen["segments"] = view.depth, view.segments
         for kind, key in enumerate(BUDGET_KEYS):
             seen[key] = np.array([self._left(kind)])
+        seen[OCCLUSION_KEY] = np.array([scene.occlusion])
         return {key: seen[key] for key in keys}
 
     def _result(

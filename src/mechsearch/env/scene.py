@@ -71,6 +71,7 @@ class HeapScene(Generic[W]):
         keys: Sequence[str],
         world_of: Callable[[Sequence[ObjectModel]], W],
         effector: ObjectModel,
+        robot_in_view: bool = True,
     ) -> None:
         """Prepare for a list of heaps; none is on the table yet.
 
@@ -81,6 +82,7 @@ class HeapScene(Generic[W]):
             keys: Observation keys.
             world_of: Makes the physics of some objects.
             effector: What is seen of the end effector, its origin at the tip.
+            robot_in_view: Whether observations show it; otherwise it moves aside to look.
 
         Raises:
             MechSearchError: If there is no heap, one names an unknown object, or a key is unknown.
@@ -88,6 +90,7 @@ class HeapScene(Generic[W]):
         self.heaps = tuple(heaps)
         self._objects, self._config = objects, config
         self._world_of, self._effector = world_of, effector
+        self._robot_in_view = robot_in_view
         if not self.heaps:
             raise MechSearchError("an environment needs at least one heap; got none")
         missing = sorted({n for h in heaps for n in h.objects if n not in objects.models})
@@ -207,16 +210,17 @@ class HeapScene(Generic[W]):
         """Note that nothing has moved in the last action."""
         self.moved = np.zeros(len(self.poses))
 
-    def frame(self, size: int, colour: bool) -> Frame:
-        """Return what the task's camera sees on an image of `size` [px]."""
-        camera = preset(self._config.camera, size)
-        return self.renderer.frame(camera, self.poses, self._effector_pose(), colour)
+    def frame(self, size: int, colour: bool, robot: bool = True) -> Frame:
+        """Return what the task's camera sees on an image of `size` [px], with or without robot."""
+        camera, effector = preset(self._config.camera, size), self._effector_pose()
+        return self.renderer.frame(camera, self.poses, effector if robot else None, colour)
 
     def observe(self) -> dict[str, Array]:
         """Return a fresh observation."""
         heap, depth, mask, rgb = self.heap, None, None, None
         if self.observer.needs_images:
-            frame = self.frame(self._config.image_size, self.observer.needs_colour)
+            size, colour = self._config.image_size, self.observer.needs_colour
+            frame = self.frame(size, colour, self._robot_in_view)
             depth, mask, rgb = frame.depth, frame.modal(heap.target), frame.rgb
         return self.observer.observe(
             Scene(

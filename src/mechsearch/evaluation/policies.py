@@ -23,6 +23,15 @@ from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
 TRAINED_LOADER = "mechsearch.training.policies:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
+RETRIEVAL = {
+    "grasp-only": "mechsearch.retrieval.policies:GraspOnly",
+    "uncover-then-grasp": "mechsearch.retrieval.policies:UncoverThenGrasp",
+    "uncover-then-grasp-dual": "mechsearch.retrieval.policies:uncover_then_grasp_dual",
+    "clear-then-grasp": "mechsearch.retrieval.policies:ClearThenGrasp",
+    "retrieve-oracle": "mechsearch.retrieval.oracle:RetrieveOracle",
+}
+"""Baselines and ceiling of retrieval; they rate grasps, which needs the `learn` extra."""
+
 LOOK_AHEAD = "look-ahead"
 """Plans in the simulator, and takes some seconds a heap; a ceiling rather than a baseline."""
 
@@ -174,13 +183,16 @@ def make_policy(spec: str) -> Policy:
         return _MADE[spec]()
     if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:
         return make_teacher(spec.removeprefix("teacher-"))
+    if spec in RETRIEVAL:
+        _check_torch(f"the policy {spec}")
+        return checked_policy(load_entry_point(RETRIEVAL[spec], "policy")(), spec)
     if spec in SHIPPED_POLICIES:
         return _trained(shipped_file(spec))
     if _is_file_of_run(spec):
         return _trained(Path(spec))
     if is_entry_point(spec):
         return checked_policy(load_entry_point(spec, "policy")(), spec)
-    known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED_POLICIES))
+    known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED_POLICIES, *RETRIEVAL))
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {known}, a run "
         "directory, an actor's file (.safetensors), or package.module:factory"
@@ -300,11 +312,15 @@ def _is_file_of_run(spec: str) -> bool:
 def _trained(path: Path) -> Policy:
     if not path.exists():
         raise MechSearchError(f"no actor at {path}")
+    _check_torch(f"the trained policy {path}")
+    return checked_policy(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
+
+
+def _check_torch(who: str) -> None:
     if importlib.util.find_spec("torch") is None:
-        raise MechSearchError(f"the trained policy {path} needs PyTorch; install mechsearch[learn]")
+        raise MechSearchError(f"{who} needs PyTorch; install mechsearch[learn]")
     # Other numbers of threads give other bits, and scores must not depend on the workers.
     importlib.import_module("torch").set_num_threads(1)
-    return checked_policy(load_entry_point(TRAINED_LOADER, "policy")(path), str(path))
 
 
 def checked_policy(policy: object, spec: str) -> Policy:

@@ -1,0 +1,139 @@
+"""What a robot's grippers could grasp of what it sees, and what it remembers of failed grasps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mechsearch.geometry import rotation_from_quaternion
+from mechsearch.grasp.grasp_view import GraspView, segment_view
+from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
+from mechsearch.types import Array, Floats, MechSearchError, Observation
+
+TARGET = 1
+"""Segment of the target."""
+
+_NEAR, _TURN = 0.012, float(np.cos(np.deg2rad(30.0)))
+"""A grasp nearer than this [m] to one that failed, closing less than this off, is the same."""
+
+_FAILED_AGAIN = 0.25
+"""What the same grasp's chance is multiplied by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A grasp that could be made.
+
+    Attributes:
+        gripper: Number of the gripper.
+        pose: Of its frame (7,).
+        quality: Chance of success in [0, 1].
+    """
+
+    gripper: int
+    pose: Floats
+    quality: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Failed:
+    """A grasp of the target that failed, in the target's frame."""
+
+    gripper: int
+    offset: Floats
+    closing: Floats
+
+
+class Grasper:
+    """Plans with all grippers, and thinks less of what has failed before.
+
+    The target's frame is the middle of its visible part: a memory moves along with the target.
+    """
+
+    def __init__(self, proposals: int = PROPOSALS) -> None:
+        """Begin without grippers; `proposals` are rated for each, at most."""
+        self._proposals = proposals
+        self._planners: tuple[GraspPlanner, ...] = ()
+        self.grippers: tuple[str, ...] = ()
+        self.reset(np.random.default_rng(0))
+
+    def equip(self, grippers: Sequence[str]) -> None:
+        """Take the names of the robot's grippers.
+
+        Raises:
+            MechSearchError: If there is no network for one of them.
+        """
+        if tuple(grippers) != self.grippers:
+            self._planners = tuple(GraspPlanner(name) for name in grippers)
+            self.grippers = tuple(grippers)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin an episode; proposals come from `rng`."""
+        self._rng = rng
+        self._failed: list[_Failed] = []
+        self._last = np.array([0.0, 0.0, 0.03])
+
+    def view(self, obs: Observation, segment: int = TARGET) -> GraspView:
+        """Return the view of a segment; "grasp_depth" and "segments" are read."""
+        return segment_view(obs["grasp_depth"], obs["segments"], segment)
+
+    def candidates(self, view: GraspView, remembering: bool = True) -> list[Candidate]:
+        """Return grasps of a view's target with all grippers, the best first.
+
+        Args:
+            view: Of what is to be grasped.
+            remembering: Whether it is the target, whose failed grasps count.
+
+        Raises:
+            MechSearchError: If no gripper is there yet.
+        """
+        if not self._planners:
+            raise MechSearchError("a robot without a gripper; call equip before the first episode")
+        found = []
+        for number, planner in enumerate(self._planners):
+            rated = planner.plan(view, self._rng, self._proposals)
+            quality = rated.quality.copy()
+            if remembering and len(rated):
+                quality[self._remembered(view, number, rated.poses)] *= _FAILED_AGAIN
+            pairs = zip(rated.poses, quality.tolist(), strict=True)
+            found += [Candidate(number, pose, chance) for pose, chance in pairs]
+        return sorted(found, key=lambda candidate: -candidate.quality)
+
+    def remember(self, view: GraspView, candidate: Candidate) -> None:
+        """Keep a grasp of the target that is about to be made, until the next episode.
+
+        Who grasps again has failed: success ends the episode.
+        """
+        closing = rotation_from_quaternion(candidate.pose[3:])[:, 0]
+        offset = candidate.pose[:3] - self.middle(view)
+        self._failed.append(_Failed(candidate.gripper, offset, closing))
+
+    def middle(self, view: GraspView) -> Floats:
+        """Return the middle of the target's visible part (3,) [m]; of a hidden one, the last."""
+        rows, columns = np.nonzero(view.mask)
+        if len(rows):
+            camera, depth = view.camera, float(np.median(view.depth[rows, columns]))
+            ray = [
+                (columns.mean() - camera.cx) / camera.fx, (rows.mean() - camera.cy) / camera.fy,
+                1.0,
+            ]  # fmt: skip
+            pose = camera.pose
+            self._last = pose[:3, :3] @ (depth * np.array(ray)) + pose[:3, 3]
+        return self._last
+
+    def blind(self, view: GraspView) -> Candidate:
+        """Return a grasp from above, at any angle, where the target is seen or was seen last."""
+        middle, yaw = self.middle(view), float(self._rng.uniform(0, np.pi))
+        turn = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+        return Candidate(0, np.array([*middle[:2], max(middle[2] - 0.02, 0.01), *turn]), 0.0)
+
+    def _remembered(self, view: GraspView, gripper: int, poses: Floats) -> Array:
+        """Return which grasps (K,) have failed before."""
+        offset = poses[:, :3] - self.middle(view)
+        closing = rotation_from_quaternion(poses[:, 3:])[:, :, 0]
+        same = np.zeros(len(poses), np.bool_)
+        for failed in self._failed:
+            near = np.linalg.norm(offset - failed.offset, axis=1) < _NEAR
+            alike = np.abs(closing @ failed.closing) > _TURN
+            same |= near & alike & (failed.gripper == gripper)
+        return same
