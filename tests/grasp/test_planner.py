@@ -107,7 +107,7 @@ def test_a_tilted_plane_is_flat_in_the_frame_of_its_own_normal(make_box):
 def test_jaws_are_proposed_across_a_bar_deep_and_apart_and_nearly_all_lift_it(bar):
     poses = [at(0.15, -0.1, 0.02)]
     heights = height_map(view_of([bar], poses))
-    found = propose_jaws(heights, np.random.default_rng(0), 60, gripper_named("jaws-56"))
+    found = propose_jaws(heights, np.random.default_rng(0), 60, gripper_named("jaws-56"), 0.0)
     assert len(found) == 60
     closing = rotation_from_quaternion(found[:, 3:])[:, :, 0]
     # The bar lies along x, so fingers close along y, within the friction cone and a cell.
@@ -131,7 +131,9 @@ def test_jaws_are_not_proposed_where_no_finger_fits(bar, make_box):
         at(-0.09, 0, 0.02),
     ]  # fmt: skip
     heights = height_map(view_of([bar, *walls, *ends], poses))
-    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS)) == 0
+    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS, 0.0)) == 0
+    # Fingers may still push the walls aside.
+    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS)) == 60
     wide = height_map(view_of([make_box("wide", (0.1, 0.1, 0.05))], [at(0, 0, 0.025)]))
     assert len(propose_jaws(wide, np.random.default_rng(0), 60, JAWS)) == 0
     cube = height_map(view_of([make_box("cube", (0.07, 0.07, 0.05))], [at(0, 0, 0.025)]))
@@ -222,3 +224,14 @@ def test_a_mirrored_patch_is_the_patch_of_the_mirrored_scene(symmetry):
     found = mirrored(*drawn(spots, middle, up), np.array([symmetry]))
     for got, wanted in zip(found, drawn(turned(spots), turned(middle), turned(up)), strict=True):
         np.testing.assert_array_equal(got, wanted)
+
+
+def test_no_finger_is_sent_down_on_the_target_itself(make_box):
+    plate = make_box("plate", (0.14, 0.05, 0.05))
+    found = propose_jaws(
+        height_map(view_of([plate], [at(0, 0, 0.025)])), np.random.default_rng(0), 60, JAWS
+    )
+    closing = rotation_from_quaternion(found[:, 3:])[:, :, 0]
+    for side in (-1, 1):
+        tips = found[:, :2] + side * (JAWS.opening + JAWS.thickness) / 2 * closing[:, :2]
+        assert (np.abs(tips) > [0.068, 0.023]).any(axis=1).all()
