@@ -179,9 +179,17 @@ def test_a_plan_depends_on_view_and_draws_alone_and_has_the_best_first(planner, 
     assert ((one.quality >= 0) & (one.quality <= 1)).all()
 
 
+def test_a_drawn_grasp_closes_across_the_target(planner, bar):
+    pose = planner.drawn(view_of([bar], [at(0, 0, 0.02)]), np.random.default_rng(0))
+    assert abs(rotation_from_quaternion(pose[3:])[1, 0]) > np.cos(np.deg2rad(35))
+    assert abs(pose[1]) < 0.003
+
+
 def test_nothing_is_planned_on_a_target_that_is_hidden(planner, bar, make_box):
     lid = make_box("lid", (0.3, 0.3, 0.02))
-    plan = planner.plan(view_of([bar, lid], [at(0, 0, 0.02), at(0, 0, 0.05)]), None)
+    hidden = view_of([bar, lid], [at(0, 0, 0.02), at(0, 0, 0.05)])
+    plan = planner.plan(hidden, np.random.default_rng(0))
+    assert planner.drawn(hidden, np.random.default_rng(0)) is None
     assert len(plan) == 0
     assert plan.poses.shape == (0, 7)
 
@@ -210,7 +218,7 @@ def test_a_mirrored_patch_is_the_patch_of_the_mirrored_scene(symmetry):
 
     def drawn(points, middle, up):
         image = np.zeros((1, 32, 32), np.float32)
-        column, row = np.round(points / 0.0025 + 15.5).astype(int).T
+        column, row = np.round(points / 0.002 + 15.5).astype(int).T
         image[0, row, column] = np.arange(1, 6)
         return image, image > 0, np.array([[0.1, *up, *middle, 0.2]], np.float32)
 
@@ -220,7 +228,7 @@ def test_a_mirrored_patch_is_the_patch_of_the_mirrored_scene(symmetry):
         return np.stack([y, x] if symmetry & 4 else [x, y], axis=-1)
 
     # Spots in the middles of cells, so that mirroring moves none to another cell.
-    spots = (np.floor(spots / 0.0025) + 0.5) * 0.0025
+    spots = (np.floor(spots / 0.002) + 0.5) * 0.002
     found = mirrored(*drawn(spots, middle, up), np.array([symmetry]))
     for got, wanted in zip(found, drawn(turned(spots), turned(middle), turned(up)), strict=True):
         np.testing.assert_array_equal(got, wanted)
