@@ -73,7 +73,7 @@ def propose_jaws(
     some, rest = first[free[first]], first[~free[first]]
     rest = rest[: max(count - len(some), round(others * count)) if others else 0]
     chosen = np.concatenate([some[: count - len(rest)], rest])
-    return poses[rng.permutation(chosen)]
+    return np.asarray(poses[rng.permutation(chosen)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def _centred(heights: HeightMap, rng: np.random.Generator, gripper: Gripper) -> 
     deep = np.maximum(heights.height.ravel()[own] - _ENGAGED - lowest, 0.0)
     tip = lowest + rng.random(_LINES) ** 2 * deep
     count = int(np.ceil(gripper.opening / heights.cell))
-    steps = np.arange(-count, count + 1) * heights.cell
+    steps = heights.cell * np.arange(-count, count + 1, dtype=np.float64)
     cells = _cells(heights, place, angle, steps, np.zeros(1))[:, 0]
     above = heights.height.ravel()[cells] > tip[:, None] + _SPARE / 2
     target = above & heights.target.ravel()[cells]
