@@ -107,7 +107,7 @@ def test_a_tilted_plane_is_flat_in_the_frame_of_its_own_normal(make_box):
 def test_jaws_are_proposed_across_a_bar_deep_and_apart_and_nearly_all_lift_it(bar):
     poses = [at(0.15, -0.1, 0.02)]
     heights = height_map(view_of([bar], poses))
-    found = propose_jaws(heights, np.random.default_rng(0), 60, gripper_named("jaws-56"))
+    found = propose_jaws(heights, np.random.default_rng(0), 60, gripper_named("jaws-56"), 0.0)
     assert len(found) == 60
     closing = rotation_from_quaternion(found[:, 3:])[:, :, 0]
     # The bar lies along x, so fingers close along y, within the friction cone and a cell.
@@ -131,7 +131,9 @@ def test_jaws_are_not_proposed_where_no_finger_fits(bar, make_box):
         at(-0.09, 0, 0.02),
     ]  # fmt: skip
     heights = height_map(view_of([bar, *walls, *ends], poses))
-    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS)) == 0
+    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS, 0.0)) == 0
+    # Fingers may still push the walls aside.
+    assert len(propose_jaws(heights, np.random.default_rng(0), 60, JAWS)) == 60
     wide = height_map(view_of([make_box("wide", (0.1, 0.1, 0.05))], [at(0, 0, 0.025)]))
     assert len(propose_jaws(wide, np.random.default_rng(0), 60, JAWS)) == 0
     cube = height_map(view_of([make_box("cube", (0.07, 0.07, 0.05))], [at(0, 0, 0.025)]))
@@ -177,9 +179,17 @@ def test_a_plan_depends_on_view_and_draws_alone_and_has_the_best_first(planner, 
     assert ((one.quality >= 0) & (one.quality <= 1)).all()
 
 
+def test_a_drawn_grasp_closes_across_the_target(planner, bar):
+    pose = planner.drawn(view_of([bar], [at(0, 0, 0.02)]), np.random.default_rng(0))
+    assert abs(rotation_from_quaternion(pose[3:])[1, 0]) > np.cos(np.deg2rad(35))
+    assert abs(pose[1]) < 0.003
+
+
 def test_nothing_is_planned_on_a_target_that_is_hidden(planner, bar, make_box):
     lid = make_box("lid", (0.3, 0.3, 0.02))
-    plan = planner.plan(view_of([bar, lid], [at(0, 0, 0.02), at(0, 0, 0.05)]), None)
+    hidden = view_of([bar, lid], [at(0, 0, 0.02), at(0, 0, 0.05)])
+    plan = planner.plan(hidden, np.random.default_rng(0))
+    assert planner.drawn(hidden, np.random.default_rng(0)) is None
     assert len(plan) == 0
     assert plan.poses.shape == (0, 7)
 
@@ -208,7 +218,7 @@ def test_a_mirrored_patch_is_the_patch_of_the_mirrored_scene(symmetry):
 
     def drawn(points, middle, up):
         image = np.zeros((1, 32, 32), np.float32)
-        column, row = np.round(points / 0.0025 + 15.5).astype(int).T
+        column, row = np.round(points / 0.002 + 15.5).astype(int).T
         image[0, row, column] = np.arange(1, 6)
         return image, image > 0, np.array([[0.1, *up, *middle, 0.2]], np.float32)
 
@@ -218,7 +228,18 @@ def test_a_mirrored_patch_is_the_patch_of_the_mirrored_scene(symmetry):
         return np.stack([y, x] if symmetry & 4 else [x, y], axis=-1)
 
     # Spots in the middles of cells, so that mirroring moves none to another cell.
-    spots = (np.floor(spots / 0.0025) + 0.5) * 0.0025
+    spots = (np.floor(spots / 0.002) + 0.5) * 0.002
     found = mirrored(*drawn(spots, middle, up), np.array([symmetry]))
     for got, wanted in zip(found, drawn(turned(spots), turned(middle), turned(up)), strict=True):
         np.testing.assert_array_equal(got, wanted)
+
+
+def test_no_finger_is_sent_down_on_the_target_itself(make_box):
+    plate = make_box("plate", (0.14, 0.05, 0.05))
+    found = propose_jaws(
+        height_map(view_of([plate], [at(0, 0, 0.025)])), np.random.default_rng(0), 60, JAWS
+    )
+    closing = rotation_from_quaternion(found[:, 3:])[:, :, 0]
+    for side in (-1, 1):
+        tips = found[:, :2] + side * (JAWS.opening + JAWS.thickness) / 2 * closing[:, :2]
+        assert (np.abs(tips) > [0.068, 0.023]).any(axis=1).all()

@@ -34,7 +34,7 @@ class PatchGrid:
         return self.rows == self.columns
 
 
-JAWS_GRID, SUCTION_GRID = PatchGrid(32, 64, 0.002), PatchGrid(32, 32, 0.0025)
+JAWS_GRID, SUCTION_GRID = PatchGrid(32, 64, 0.002), PatchGrid(32, 32, 0.002)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,17 +1,19 @@
 """Grasps for parallel jaws of any opening, proposed by geometry alone."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.grasp.height_map import HeightMap
 from mechsearch.sim.gripper import Gripper
-from mechsearch.types import Floats
+from mechsearch.types import Array, Floats
 
-_LINES = 4000
+_LINES = 3000
 """Lines through the target that are tried."""
 
-_REFINED = 1000
-"""Of those that the target's outline promises, how many are looked at closely."""
+_CLOSER = 300
+"""Of those between whose ends the target is free, and of all others: looked at more closely."""
 
 _ACROSS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Lines along which a finger's way is checked, in half its widths."""
@@ -23,113 +25,136 @@ _ENGAGED = 0.006
 """Least height of the target above the tips [m]."""
 
 _FOREIGN = 0.05
-"""Share of what is between the fingers that need not be seen as the target: an outline's cells."""
+"""Share of what is between free jaws that need not be seen as the target: an outline's cells."""
 
 _APART, _TURNS = 0.004, 16
 """Of grasps in one cube of this side [m] and one of so many bins of direction, one is kept."""
 
 
 def propose_jaws(
-    heights: HeightMap, rng: np.random.Generator, count: int, gripper: Gripper
+    heights: HeightMap,
+    rng: np.random.Generator,
+    count: int,
+    gripper: Gripper,
+    others: float = 0.4,
 ) -> Floats:
-    """Return grasps (K, 7) from above whose fingers go down freely on both sides of the target.
+    """Return grasps (K, 7) from above that close across the visible part of the target.
 
-    Lines through visible points of the target are cut where its outline ends; the jaws are centred
-    between both ends, and go as deep as what lies under them allows, or less deep. Kept is what
-    closes on the target alone, on outlines that face the fingers. No two grasps are alike.
+    Lines through visible points of the target are cut where the target ends, and the jaws centred
+    between both ends. Most proposals are free: the fingers go down beside the target, as deep as
+    what lies under them allows or less, and close on the target alone, on outlines that face them.
+    Where clutter leaves no such place, fingers must push it aside: the others ignore what they
+    meet but the target, those first that have little of it between them. No two are alike.
 
     Args:
         heights: Around the target.
         rng: Draws lines and depths.
         count: Of grasps, at most.
         gripper: The jaws.
+        others: Share of proposals that are not free, where there are as many; they take the place
+            of missing free ones too, unless it is 0.
 
     Returns:
-        Poses of the gripper's frame, in random order; fewer or none where there is little room.
+        Poses of the gripper's frame, in random order; fewer or none on what is wide or low.
     """
-    own = np.flatnonzero(heights.target)
-    place = heights.place(own[rng.integers(len(own), size=_LINES)])
-    angle = rng.uniform(0.0, np.pi, _LINES)
-    share = rng.random(_LINES) ** 2
-    centre, tip, fits = _centred(heights, place, angle, share, gripper)
-    kept = np.flatnonzero(fits)[:_REFINED]
-    return _refined(heights, rng, centre[kept], angle[kept], tip[kept], count, gripper)
-
-
-def _centred(
-    heights: HeightMap, place: Floats, angle: Floats, share: Floats, gripper: Gripper
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return middles (K, 2) of the target's outline on lines, tip heights, and which fit."""
-    count = int(np.ceil(gripper.opening / heights.cell))
-    steps = np.arange(-count, count + 1)
-    cells = _cells(heights, place, angle, heights.cell * steps.astype(np.float64), np.zeros(1))[
-        :, 0
-    ]
-    height, target = heights.height.ravel()[cells], heights.target.ravel()[cells]
-    lowest = gripper.clearance
-    tip = lowest + share * np.maximum(height[:, count] - _ENGAGED - lowest, 0.0)
-    above = height > tip[:, None] + _SPARE / 2
-    # An outline that goes on beyond the line is too wide whatever follows.
-    after = np.argmin(above[:, count:], axis=1)
-    before = np.argmin(above[:, count::-1], axis=1)
-    width = (after + before - 1) * heights.cell
-    fits = (after > 0) & (before > 0) & (width <= gripper.opening - 2 * _SPARE)
-    run = (steps < after[:, None]) & (steps > -before[:, None])
-    fits &= (run & ~target).sum(axis=1) <= _FOREIGN * (after + before - 1)
-    shift = (after - before) / 2 * heights.cell
-    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return place + shift[:, None] * axis, tip, fits
-
-
-def _refined(
-    heights: HeightMap,
-    rng: np.random.Generator,
-    centre: Floats,
-    angle: Floats,
-    tip: Floats,
-    count: int,
-    gripper: Gripper,
-) -> Floats:
-    """Return the grasps at up to three depths for each of some centred jaws."""
-    half = gripper.opening / 2
-    number = int(np.ceil(gripper.opening / heights.cell))
-    inner = np.linspace(-half, half, number + 1)
-    finger = half + np.linspace(0.0, gripper.thickness, 5)
-    across = _ACROSS * gripper.width / 2
-    under = heights.height.ravel()[
-        _cells(heights, centre, angle, np.concatenate([-finger, finger]), across)
-    ]
-    cells = _cells(heights, centre, angle, inner, across)
-    between, target = heights.height.ravel()[cells], heights.target.ravel()[cells]
-    top = between.max(axis=(1, 2))
-    room = np.maximum(under.max(axis=(1, 2)) + _SPARE, gripper.clearance)
-    # The palm must stay above what is between the fingers.
-    deepest = np.maximum(room, top - gripper.length + 2 * _SPARE)
-    tips = np.concatenate([deepest + part * (tip - deepest) for part in (0.0, 0.5, 1.0)])
-    which = np.tile(np.arange(len(centre)), 3)
-    kept = np.flatnonzero((tips >= deepest[which]) & (top[which] - tips >= _ENGAGED))
-    tips, which = tips[kept], which[kept]
-    above = between[which] > tips[:, None, None]
-    foreign = (above & ~target[which]).sum(axis=(1, 2))
-    alone = foreign <= _FOREIGN * above.sum(axis=(1, 2))
-    # Both outlines must face the fingers within the friction cone, or it slides out sideways.
-    pads = above[:, [1, 3]]
-    first, last = np.argmax(pads, axis=2), np.argmax(pads[:, :, ::-1], axis=2)
-    slant = np.maximum(np.abs(np.diff(first, axis=1)), np.abs(np.diff(last, axis=1)))[:, 0]
-    slope = slant * (inner[1] - inner[0]) / (gripper.width / 2)
-    facing = pads.any(axis=-1).all(axis=-1) & (slope <= 1.2 * gripper.friction)
-    good = np.flatnonzero(alone & facing)
-    good = good[rng.permutation(len(good))]
-    which, tips = which[good], tips[good]
-    yaw = angle[which]
-    poses = np.zeros((len(good), 7))
-    poses[:, :2], poses[:, 2] = centre[which], tips + gripper.reach
+    jaws = _centred(heights, rng, gripper)
+    which, tip, foreign, free = _at_depths(heights, jaws, gripper)
+    # Free ones at random, then the others, roughly by what is in their way.
+    order = np.argsort(np.where(free, -1.0, foreign) + rng.uniform(0.0, 0.5, len(free)))
+    which, tip, free = which[order], tip[order], free[order]
+    yaw = jaws.angle[which]
+    poses = np.zeros((len(tip), 7))
+    poses[:, :2], poses[:, 2] = jaws.centre[which], tip + gripper.reach
     poses[:, 3], poses[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
     # Closing directions are alike modulo a half turn.
     bins = np.rint(yaw / (np.pi / _TURNS)) % _TURNS
     kinds = np.column_stack([np.rint(poses[:, :3] / _APART), bins])
-    _, first = np.unique(kinds, axis=0, return_index=True)
-    return poses[np.sort(first)[:count]]
+    first = np.sort(np.unique(kinds, axis=0, return_index=True)[1])
+    some, rest = first[free[first]], first[~free[first]]
+    rest = rest[: max(count - len(some), round(others * count)) if others else 0]
+    chosen = np.concatenate([some[: count - len(rest)], rest])
+    return np.asarray(poses[rng.permutation(chosen)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Jaws:
+    """Jaws (K,) centred on the target: place (K, 2), closing direction, height of the tips."""
+
+    centre: Floats
+    angle: Floats
+    tip: Floats
+
+
+def _centred(heights: HeightMap, rng: np.random.Generator, gripper: Gripper) -> _Jaws:
+    """Return jaws between whose fingers random parts of the target fit."""
+    own = np.flatnonzero(heights.target)
+    own = own[rng.integers(len(own), size=_LINES)]
+    place, angle = heights.place(own), rng.uniform(0.0, np.pi, _LINES)
+    lowest = gripper.clearance
+    deep = np.maximum(heights.height.ravel()[own] - _ENGAGED - lowest, 0.0)
+    tip = lowest + rng.random(_LINES) ** 2 * deep
+    count = int(np.ceil(gripper.opening / heights.cell))
+    steps = heights.cell * np.arange(-count, count + 1, dtype=np.float64)
+    cells = _cells(heights, place, angle, steps, np.zeros(1))[:, 0]
+    above = heights.height.ravel()[cells] > tip[:, None] + _SPARE / 2
+    target = above & heights.target.ravel()[cells]
+    # What goes on to the end of the line is too wide whatever follows.
+    after = np.argmin(target[:, count:], axis=1)
+    before = np.argmin(target[:, count::-1], axis=1)
+    width = (after + before - 1) * heights.cell
+    fits = (after > 0) & (before > 0) & (width <= gripper.opening - 2 * _SPARE)
+    row = np.arange(_LINES)
+    ends = above[row, count + after] | above[row, count - before]
+    kept = np.concatenate([np.flatnonzero(fits & ~ends)[:_CLOSER],
+                           np.flatnonzero(fits & ends)[:_CLOSER]])  # fmt: skip
+    shift = (after - before)[kept, None] / 2 * heights.cell
+    angle = angle[kept]
+    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return _Jaws(place[kept] + shift * axis, angle, tip[kept])
+
+
+def _at_depths(
+    heights: HeightMap, jaws: _Jaws, gripper: Gripper
+) -> tuple[Array, Floats, Floats, NDArray[np.bool_]]:
+    """Return jaws at several depths: which, height of the tips, what else they hold, if free.
+
+    What else they hold is its share of what is between the fingers.
+    """
+    half = gripper.opening / 2
+    count = int(np.ceil(gripper.opening / heights.cell))
+    inner = np.linspace(-half, half, count + 1)
+    finger = half + np.linspace(0.0, gripper.thickness, 5)
+    finger = np.concatenate([-finger, finger])
+    across = _ACROSS * gripper.width / 2
+    cells = _cells(heights, jaws.centre, jaws.angle, finger, across)
+    height = heights.height.ravel()[cells]
+    under = height.max(axis=(1, 2))
+    own = np.where(heights.target.ravel()[cells], height, 0.0).max(axis=(1, 2))
+    cells = _cells(heights, jaws.centre, jaws.angle, inner, across)
+    between, target = heights.height.ravel()[cells], heights.target.ravel()[cells]
+    top = np.where(target, between, 0.0).max(axis=(1, 2))
+    # The palm must stay above what is between the fingers.
+    floor = np.maximum(between.max(axis=(1, 2)) - gripper.length + 2 * _SPARE, gripper.clearance)
+    room = np.maximum(under + _SPARE, floor)
+    tips = [low + part * (jaws.tip - low) for low, part in
+            ((room, 0.0), (room, 0.5), (room, 1.0), (floor, 0.3))]  # fmt: skip
+    tip, which = np.concatenate(tips), np.tile(np.arange(len(room)), len(tips))
+    kept = np.flatnonzero((tip >= np.maximum(floor, own)[which]) & (top[which] - tip >= _ENGAGED))
+    tip, which = tip[kept], which[kept]
+    above = between[which] > tip[:, None, None]
+    filled = np.maximum(above.sum(axis=(1, 2)), 1)
+    foreign = (above & ~target[which]).sum(axis=(1, 2)) / filled
+    # Both outlines must face the fingers within the friction cone, or it slides out sideways.
+    pads = above[:, [1, 3]]
+    first, last = np.argmax(pads, axis=2), np.argmax(pads[:, :, ::-1], axis=2)
+    slant = np.maximum(np.abs(np.diff(first, axis=1)), np.abs(np.diff(last, axis=1)))[:, 0]
+    facing = slant * (inner[1] - inner[0]) / (gripper.width / 2) <= 1.2 * gripper.friction
+    facing &= pads.any(axis=-1).all(axis=-1)
+    alone = foreign <= _FOREIGN
+    free = (tip >= room[which]) & alone
+    # Where something else is between the fingers, the outline may be where it hides the target.
+    kept = np.flatnonzero(facing | ~alone)
+    return which[kept], tip[kept], foreign[kept], free[kept]
 
 
 def _cells(

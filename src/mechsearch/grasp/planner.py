@@ -10,6 +10,7 @@ from mechsearch.grasp.aligned import aligned
 from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.height_map import HeightMap, height_map
 from mechsearch.grasp.jaw_proposals import propose_jaws
+from mechsearch.grasp.proposals import antipodal
 from mechsearch.grasp.quality_network import QualityNetwork, load_quality_network
 from mechsearch.grasp.suction_proposals import propose_suction
 from mechsearch.sim.gripper import Gripper, SuctionCup, gripper_named
@@ -20,6 +21,9 @@ PROPOSALS = 100
 
 LEAST_VISIBLE = 16
 """Pixels of a target from which grasps are planned on it."""
+
+_DRAWN = 10
+"""Antipodal grasps asked for, where the first is wanted; more are tried, the more are asked for."""
 
 _NEAR, _TURN = 0.01, float(np.cos(np.deg2rad(22.5)))
 """Grasps nearer than this [m] whose closing directions differ by less than this are alike."""
@@ -85,6 +89,19 @@ class GraspPlanner:
             return RatedGrasps(np.empty((0, 7)), np.empty(0))
         heights = height_map(view)
         return rate_grasps(self.network, heights, propose(heights, rng, count, self.gripper))
+
+    def drawn(self, view: GraspView, rng: np.random.Generator) -> Floats | None:
+        """Return the first random grasp (7,) that geometry alone promises, if there is one.
+
+        Of jaws it is antipodal, the fingers free. It is what planned grasps are measured against.
+        """
+        if view.mask.sum() < LEAST_VISIBLE:
+            return None
+        if isinstance(self.gripper, Gripper):
+            grasps = antipodal(view, rng, _DRAWN, self.gripper)
+            return grasps[0].pose(view.camera) if grasps else None
+        poses = propose(height_map(view), rng, 1, self.gripper)
+        return poses[0] if len(poses) else None
 
 
 def propose(

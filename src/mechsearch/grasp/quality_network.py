@@ -14,8 +14,9 @@ from mechsearch.types import Array, Floats, MechSearchError
 
 _KIND = "mechsearch grasp quality network"
 
-_NEAR, _SCALE = 0.08, 0.04
-"""How far over or under the grasp anything is told apart [m], and what becomes 1."""
+_RANGES = ((0.08, 0.04), (0.012, 0.004))
+"""How far over or under the grasp anything is told apart [m], and what becomes 1: once from afar,
+once closely, as millimetres decide about a seal or a finger's way."""
 
 _NUMBER_SCALES = (0.05, 0.5, 0.5, 0.05, 0.05, 0.1)
 """What becomes 1, of the numbers of `Aligned`."""
@@ -39,7 +40,7 @@ class QualityNetwork(nn.Module):
         self.gripper = gripper
         self.grid: PatchGrid = grid_of(gripper_named(gripper))
         self.register_buffer("scales", torch.tensor(_NUMBER_SCALES), persistent=False)
-        self.conv1 = nn.Conv2d(2, 24, 5, stride=2, padding=2)
+        self.conv1 = nn.Conv2d(1 + len(_RANGES), 24, 5, stride=2, padding=2)
         self.conv2 = nn.Conv2d(24, 48, 3, stride=2, padding=1)
         self.conv3 = nn.Conv2d(48, 64, 3, padding=1)
         self.conv4 = nn.Conv2d(64, 64, 3, stride=2, padding=1)
@@ -55,8 +56,8 @@ class QualityNetwork(nn.Module):
 
     def forward(self, relative: Tensor, target: Tensor, numbers: Tensor) -> Tensor:
         """Return logits of success (K,); see `Aligned` for what is given."""
-        near = relative.clamp(-_NEAR, _NEAR) / _SCALE
-        x = torch.stack([near, target.to(near.dtype)], dim=1)
+        heights = [relative.clamp(-far, far) / scale for far, scale in _RANGES]
+        x = torch.stack([*heights, target.to(relative.dtype)], dim=1)
         x = x.contiguous(memory_format=torch.channels_last)
         for layer in (self.conv1, self.conv2, self.conv3, self.conv4):
             x = torch.relu(layer(x))

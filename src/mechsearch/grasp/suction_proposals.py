@@ -8,7 +8,7 @@ from mechsearch.types import Floats
 _TRIED = 1000
 """Visible places of the target that are tried."""
 
-_ROUGH = 0.004
+_ROUGH = 0.0025
 """Largest distance of the surface under the lip from its own plane [m]."""
 
 _STEEPEST = np.deg2rad(45.0)
