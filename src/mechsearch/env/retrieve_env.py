@@ -296,7 +296,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             "end": end,
             "failure": failure,
             "clutter_moved": clutter_moved,
-            "target_moved": float(scene.moved[scene.heap.target]),
+            "target_moved": scene.target_moved,
             "outcome": outcome,
             "held": held,
             "retrieved": retrieved,
