@@ -16,9 +16,9 @@ import gymnasium
 
 if TYPE_CHECKING:
     from mechsearch.env.heap_env import HeapEnv, make_env
-    from mechsearch.env.retrieve_env import RetrieveConfig, RetrieveEnv, make_retrieve_env
+    from mechsearch.env.retrieve_env import RetrieveEnv, make_retrieve_env
     from mechsearch.env.reward import RewardConfig
-    from mechsearch.env.task import HeapEnvConfig, TaskConfig
+    from mechsearch.env.task import HeapEnvConfig, RetrieveConfig, TaskConfig
     from mechsearch.env.vector.vector_env import VectorHeapEnv, make_vector_env
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate
@@ -35,7 +35,7 @@ _PLACES = {
     "HeapEnvConfig": "env.task:HeapEnvConfig",
     "MechSearchError": "types:MechSearchError",
     "Policy": "types:Policy",
-    "RetrieveConfig": "env.retrieve_env:RetrieveConfig",
+    "RetrieveConfig": "env.task:RetrieveConfig",
     "RetrieveEnv": "env.retrieve_env:RetrieveEnv",
     "RewardConfig": "env.reward:RewardConfig",
     "TaskConfig": "env.task:TaskConfig",

@@ -9,7 +9,8 @@ from gymnasium.utils.env_checker import check_env
 
 from mechsearch.env.decision import Decision
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.env.retrieve_env import RetrievalReward, RetrieveConfig, RetrieveEnv
+from mechsearch.env.retrieve_env import RetrieveEnv
+from mechsearch.env.task import RetrievalReward, RetrieveConfig
 from mechsearch.env.trial import from_start, imageless
 from mechsearch.sim.gripper_world import Attempt, GripperWorld
 from mechsearch.sim.lift import Outcome

@@ -11,7 +11,7 @@ from scripted import Aimless, Equipped, Scripted
 
 from mechsearch.cli import main
 from mechsearch.env.decision import Decision
-from mechsearch.env.retrieve_env import RetrieveConfig
+from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import Evaluation, RetrievalRecord
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, evaluate_plan, replay_all

@@ -15,7 +15,7 @@ from mechsearch.types import Array, Observation, select
 
 
 @dataclass(frozen=True)
-class Decision:
+class ChosenAction:
     """What was decided in one observation.
 
     Attributes:
@@ -48,7 +48,7 @@ class Transition:
 
     heap: int
     obs: Observation
-    decision: Decision
+    decision: ChosenAction
     after: Observation
     reward: float
     terminated: bool
@@ -143,7 +143,7 @@ class Collector:
         obs, _ = self._setup.env.reset(seed=env_seed, options={"heap": self._heap})
         return obs
 
-    def _decide(self, obs: Observation) -> Decision:
+    def _decide(self, obs: Observation) -> ChosenAction:
         """Let the actor and every teacher propose, and choose one (paper, III-C)."""
         rng = self._rngs["exploration"]
         own = self._behaviour.act(obs)
@@ -152,4 +152,4 @@ class Collector:
         actions = np.stack(proposals).astype(np.float32)
         samples = self._behaviour.q_samples(obs, actions)
         choice = self._guidance.choose(samples, rng)
-        return Decision(actions[choice], own, choice, float(samples[:, choice].mean()))
+        return ChosenAction(actions[choice], own, choice, float(samples[:, choice].mean()))

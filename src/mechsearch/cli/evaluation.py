@@ -11,8 +11,7 @@ import tyro
 
 from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
-from mechsearch.env.retrieve_env import RetrieveConfig
-from mechsearch.env.task import TaskConfig
+from mechsearch.env.task import RetrieveConfig, TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,

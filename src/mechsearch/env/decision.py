@@ -12,7 +12,7 @@ from mechsearch.geometry import yaw_quaternion
 from mechsearch.sim.scene import Workspace
 from mechsearch.types import DECISION_SIZE, GRASP, PUSH, REMOVE, Array, Floats, MechSearchError
 
-KINDS = ("push", "grasp", "removal")
+DECISION_NAMES = ("push", "grasp", "removal")
 """Names of the kinds, by number."""
 
 STEEPEST = float(np.cos(np.deg2rad(60.0)))
@@ -40,14 +40,12 @@ class Decision:
                 f"a decision of kind {self.kind}; expected {PUSH} (push), {GRASP} (grasp of the "
                 f"target) or {REMOVE} (removal of another object)"
             )
-        expected = 3 if self.kind == PUSH else 7
+        name, expected = DECISION_NAMES[self.kind], 3 if self.kind == PUSH else 7
         if len(self.numbers) != expected or not all(map(isfinite, self.numbers)):
-            raise MechSearchError(
-                f"a {KINDS[self.kind]} of {self.numbers}; expected {expected} finite numbers"
-            )
+            raise MechSearchError(f"a {name} of {self.numbers}; expected {expected} finite numbers")
         if self.kind != PUSH and abs(float(np.linalg.norm(self.numbers[3:])) - 1.0) > 1e-4:
             raise MechSearchError(
-                f"a {KINDS[self.kind]} with the quaternion {self.numbers[3:]}; expected length 1"
+                f"a {name} with the quaternion {self.numbers[3:]}; expected length 1"
             )
 
     @classmethod

@@ -17,7 +17,7 @@ from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.sim.scene import pusher_model
 from mechsearch.sim.world import World
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError
 
 
 class HeapEnv(gymnasium.Env[Any, Array]):
@@ -111,11 +111,14 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         before = scene.occlusion
         failure = scene.push(target)
         self._actions += 1
+        clutter, target_moved = scene.clutter, scene.target_moved
         if failure is not None:
             # The last trusted state is shown, and no reward given.
-            return self._result(self.no_reward, f"failure: {failure}", failure)
+            return self._result(
+                self.no_reward, clutter, target_moved, f"failure: {failure}", failure
+            )
         reward = self._reward(
-            before, scene.occlusion, scene.clutter, float(scene.moved[scene.heap.target]),
+            before, scene.occlusion, clutter, target_moved,
             max(map(abs, (command - target).tolist())) > 1e-9, config.uncovered_at, config.reward,
         )  # fmt: skip
         end = None
@@ -125,7 +128,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             end = "uncovered"
         elif self._actions >= config.max_actions:
             end = "action limit"
-        return self._result(reward, end)
+        return self._result(reward, clutter, target_moved, end)
 
     def render(self) -> Array | None:
         """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
@@ -151,9 +154,14 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         return World(models, config.workspace, config.pusher, config=config.physics)
 
     def _result(
-        self, reward: Mapping[str, float], end: str | None, failure: str | None = None
+        self,
+        reward: Mapping[str, float],
+        clutter: Floats,
+        target_moved: float,
+        end: str | None,
+        failure: str | None = None,
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        scene, clutter = self._scene, self._scene.clutter
+        scene = self._scene
         self._over, terminated = end is not None, end in ("lost", "uncovered")
         info = {
             "reward_terms": dict(reward),
@@ -161,7 +169,7 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             "end": end,
             "failure": failure,
             "clutter_moved": float(clutter.sum()) / max(len(clutter), 1),
-            "target_moved": float(scene.moved[scene.heap.target]),
+            "target_moved": target_moved,
         }
         truncated = self._over and not terminated
         return scene.observe(), float(sum(reward.values())), terminated, truncated, info

@@ -1,17 +1,15 @@
 """The decision process of retrieval: push, grasp and put aside until the target is in the hand."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from mechsearch.env.decision import KINDS, STEEPEST, Decision, DecisionSpace
+from mechsearch.env.decision import DECISION_NAMES, STEEPEST, Decision, DecisionSpace
 from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
-from mechsearch.env.task import HeapEnvConfig, with_settings
+from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import grasp_camera, see_heap
 from mechsearch.heaps.dataset import Heap
@@ -20,7 +18,6 @@ from mechsearch.observe.observation import KEYS
 from mechsearch.sim.gripper import gripper_named
 from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
-from mechsearch.sim.scene import Pusher
 from mechsearch.types import (
     BUDGET_KEYS,
     GRASP,
@@ -28,7 +25,6 @@ from mechsearch.types import (
     OCCLUSION_KEY,
     PUSH,
     REMOVE,
-    RETRIEVAL_KEYS,
     USED_UP,
     Array,
     Floats,
@@ -37,67 +33,6 @@ from mechsearch.types import (
 
 _BELOW = 0.01
 """How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
-
-
-@dataclass(frozen=True)
-class RetrievalReward:
-    """Weights of the reward's terms.
-
-    Attributes:
-        retrieved: For the target in the hand.
-        action: Cost of each decision.
-        movement: Cost of each metre that the mean non-target object moves.
-    """
-
-    retrieved: float = 1.0
-    action: float = 0.01
-    movement: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not isfinite(value):
-                raise MechSearchError(f"retrieval.{name} is {value}; expected a finite number")
-
-
-@dataclass(frozen=True)
-class RetrieveConfig(HeapEnvConfig):
-    """The task of retrieval, and what an environment shows of it.
-
-    `uncovered_at` and `reward` are about pushing alone and mean nothing here.
-
-    Attributes:
-        keys: Observation keys; see `types`.
-        grippers: Names of the robot's grippers; the first one, closed, pushes.
-        max_grasps: Grasps of the target in an episode.
-        max_removals: Removals of other objects in an episode.
-        perturbed: Whether each grasp is off by what the lift test calls uncertain; the draws depend
-            on the heap's seed and the number of the attempt alone.
-        retrieval: Weights of the reward.
-    """
-
-    keys: tuple[str, ...] = RETRIEVAL_KEYS
-    grippers: tuple[str, ...] = ("jaws-85",)
-    max_grasps: int = 8
-    max_removals: int = 8
-    perturbed: bool = False
-    retrieval: RetrievalReward = field(default_factory=RetrievalReward)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.grippers or len(set(self.grippers)) < len(self.grippers):
-            raise MechSearchError(
-                f"grippers are {', '.join(self.grippers) or 'none'}; expected one or more, no two "
-                "alike"
-            )
-        for name in self.grippers:
-            gripper_named(name)
-        for name, least in (("max_grasps", 1), ("max_removals", 0)):
-            if getattr(self, name) < least:
-                raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least {least}")
-        if self.pusher != Pusher():
-            raise MechSearchError(
-                f"a pusher of its own, {self.pusher}; in retrieval the first of the grippers pushes"
-            )
 
 
 class RetrieveEnv(gymnasium.Env[Any, Array]):
@@ -265,7 +200,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         up = float(rotation_from_quaternion(quaternion)[2, 2])
         if max(abs(x), abs(y)) > half or not -_BELOW <= z <= high or up < STEEPEST:
             raise MechSearchError(
-                f"a {KINDS[decision.kind]} at ({x:.3f}, {y:.3f}, {z:.3f}) m, tilted by "
+                f"a {DECISION_NAMES[decision.kind]} at ({x:.3f}, {y:.3f}, {z:.3f}) m, tilted by "
                 f"{np.rad2deg(np.arccos(np.clip(up, -1, 1))):.0f} degrees, is out of reach; "
                 f"expected x and y within {half} m of the middle, a height up to {high} m, and a "
                 "tilt up to 60 degrees"
@@ -364,7 +299,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             "end": end,
             "failure": failure,
             "clutter_moved": clutter_moved,
-            "target_moved": float(scene.moved[scene.heap.target]),
+            "target_moved": scene.target_moved,
             "outcome": outcome,
             "held": held,
             "retrieved": retrieved,

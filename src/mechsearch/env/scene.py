@@ -141,6 +141,11 @@ class HeapScene(Generic[W]):
         return self.moved[others(self.heap.target, len(self.moved))]
 
     @property
+    def target_moved(self) -> float:
+        """How far the last action has moved the target [m]."""
+        return float(self.moved[self.heap.target])
+
+    @property
     def target_is_present(self) -> bool:
         """Whether the target is still on the table."""
         return bool(self.present[self.heap.target])

@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from math import inf
+from math import inf, isfinite
 from operator import attrgetter
 from typing import Any, Self, TypeVar
 
 from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import record_from_json
+from mechsearch.sim.gripper import gripper_named
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace
-from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError
 
 _LEAST = {
     "max_actions": 1, "start_distance": 0, "uncovered_at": 0, "physics.action_steps": 1,
@@ -103,6 +104,67 @@ class HeapEnvConfig(TaskConfig):
         return (*self.keys, *(key for key in extra if key not in self.keys))
 
 
+@dataclass(frozen=True)
+class RetrievalReward:
+    """Weights of the reward's terms.
+
+    Attributes:
+        retrieved: For the target in the hand.
+        action: Cost of each decision.
+        movement: Cost of each metre that the mean non-target object moves.
+    """
+
+    retrieved: float = 1.0
+    action: float = 0.01
+    movement: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not isfinite(value):
+                raise MechSearchError(f"retrieval.{name} is {value}; expected a finite number")
+
+
+@dataclass(frozen=True)
+class RetrieveConfig(HeapEnvConfig):
+    """The task of retrieval, and what an environment shows of it.
+
+    `uncovered_at` and `reward` are about pushing alone and mean nothing here.
+
+    Attributes:
+        keys: Observation keys; see `types`.
+        grippers: Names of the robot's grippers; the first one, closed, pushes.
+        max_grasps: Grasps of the target in an episode.
+        max_removals: Removals of other objects in an episode.
+        perturbed: Whether each grasp is off by what the lift test calls uncertain; the draws depend
+            on the heap's seed and the number of the attempt alone.
+        retrieval: Weights of the reward.
+    """
+
+    keys: tuple[str, ...] = RETRIEVAL_KEYS
+    grippers: tuple[str, ...] = ("jaws-85",)
+    max_grasps: int = 8
+    max_removals: int = 8
+    perturbed: bool = False
+    retrieval: RetrievalReward = field(default_factory=RetrievalReward)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.grippers or len(set(self.grippers)) < len(self.grippers):
+            raise MechSearchError(
+                f"grippers are {', '.join(self.grippers) or 'none'}; expected one or more, no two "
+                "alike"
+            )
+        for name in self.grippers:
+            gripper_named(name)
+        for name, least in (("max_grasps", 1), ("max_removals", 0)):
+            if getattr(self, name) < least:
+                raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least {least}")
+        if self.pusher != Pusher():
+            raise MechSearchError(
+                f"a pusher of its own, {self.pusher}; in retrieval the first of the grippers pushes"
+            )
+
+
 Task = TypeVar("Task", bound=TaskConfig)
 
 
@@ -110,7 +172,7 @@ def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
     """Return the task that `dataclasses.asdict` and JSON made, of this or an earlier version.
 
     Args:
-        kind: `TaskConfig` or `HeapEnvConfig`.
+        kind: `TaskConfig`, `HeapEnvConfig` or `RetrieveConfig`.
         data: Values by field.
 
     Raises:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.retrieve_env import RetrieveConfig
-from mechsearch.env.task import TaskConfig, task_from_json
+from mechsearch.env.task import RetrieveConfig, TaskConfig, task_from_json
 from mechsearch.env.trial import Rollout, imageless, roll_out
 from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag

@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.retrieve_env import RetrieveConfig, RetrieveEnv
-from mechsearch.env.task import HeapEnvConfig, TaskConfig, task_from_json
+from mechsearch.env.retrieve_env import RetrieveEnv
+from mechsearch.env.task import HeapEnvConfig, RetrieveConfig, TaskConfig, task_from_json
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
