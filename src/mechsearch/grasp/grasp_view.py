@@ -229,7 +229,7 @@ class GraspScene:
     Attributes:
         depth: Along the optical axis (512, 512) float32 [m].
         segments: What each pixel shows (512, 512) uint8: 0 the table, 1 the target, from 2 on the
-            other visible objects.
+            other visible objects, those with most pixels first.
         objects: Which object each segment is, from segment 1 on; no policy is told.
     """
 
@@ -247,7 +247,9 @@ def see_heap(renderer: Renderer, poses: Array, target: int) -> GraspScene:
         target: Its index. It has segment 1 even where no pixel of it is visible.
     """
     frame = renderer.frame(grasp_camera(), poses)
-    shown = np.unique(frame.ids[frame.ids >= 0]).tolist()
+    pixels = np.bincount(frame.ids[frame.ids >= 0], minlength=len(poses))
+    # By size: their order in the heap would tell how it was made.
+    shown = np.argsort(-pixels, kind="stable")[: np.count_nonzero(pixels)].tolist()
     objects = (target, *(index for index in shown if index != target))
     number = np.zeros(len(poses) + 1, np.uint8)
     number[list(objects)] = np.arange(1, len(objects) + 1)

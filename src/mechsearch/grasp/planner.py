@@ -108,6 +108,8 @@ def propose(
     heights: HeightMap, rng: np.random.Generator, count: int, gripper: Gripper | SuctionCup
 ) -> Floats:
     """Return at most `count` grasps (K, 7) of a gripper that geometry promises, in random order."""
+    if not heights.target.any():
+        return np.empty((0, 7))
     if isinstance(gripper, Gripper):
         return propose_jaws(heights, rng, count, gripper)
     return propose_suction(heights, rng, count, gripper.radius)
