@@ -15,6 +15,7 @@ from mechsearch.env.task import RetrieveConfig, TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
+    in_words,
     load_episodes,
     merge_summary,
     save_episodes,
@@ -31,8 +32,15 @@ from mechsearch.files import check_place, crossed, fingerprint, write_whole
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
 from mechsearch.findings.tables import EPISODES_NOTE, evaluation_tables, to_text
-from mechsearch.pictures.film import FORMATS, Film, FilmConfig, filmstrip, start_and_end, write_film
-from mechsearch.sim.scene import Pusher, pusher_model
+from mechsearch.pictures.film import (
+    FORMATS,
+    FilmConfig,
+    film_of,
+    filmstrip,
+    start_and_end,
+    write_film,
+)
+from mechsearch.pictures.replay import replayed
 from mechsearch.types import MechSearchError
 
 _TaskOptions: Any = optional(TaskConfig)
@@ -170,21 +178,24 @@ class Evaluate(OfObjects, Spread):
 class ShowEpisode(OfObjects):
     """Draw a recorded episode: target green, path of the end effector blue.
 
+    Grasps are carried out again to show them, phase by phase.
+
     Attributes:
         episodes: File that `mechsearch evaluate` wrote (.npz).
         out: .png for a picture, .gif or .mp4 for a film.
         which: "worst", "median" or "best" by reward, or a heap's seed.
         frames: Of a picture: 2 shows start and end, more make a filmstrip.
-        camera: "overhead" or "tilted".
+        camera: "overhead" or "tilted"; by default the first for pushes alone, and for retrieval
+            one from the side that shows what is lifted.
         size: Side of each frame [px].
-        rate: Actions a second in a film.
+        rate: Frames a second in a film, one for each push and eight for a second of a grasp.
     """
 
     episodes: Annotated[Path, tyro.conf.Positional]
     out: Path = Path("episode.png")
     which: str = "median"
     frames: int = 2
-    camera: str = "overhead"
+    camera: str = ""
     size: int = 360
     rate: float = 6.0
 
@@ -197,16 +208,15 @@ class ShowEpisode(OfObjects):
         evaluation = load_episodes(self.episodes)
         record = self._episode(evaluation)
         models = models_of(evaluation, self.objects)
-        config = FilmConfig(self.camera, self.size)
-        if self.out.suffix in FORMATS:
-            write_film(self.out, Film(record, models, config, pusher_model(Pusher())), self.rate)
+        config, moving = FilmConfig(self.camera, self.size), self.out.suffix in FORMATS
+        film = film_of(evaluation.header, record, models, config, moving, replayed)
+        if moving:
+            write_film(self.out, film, self.rate)
         else:
-            film = Film(record, models, config)
             picture = start_and_end(film) if self.frames == 2 else filmstrip(film, self.frames)
             write_whole(self.out, picture.save)
         say(
-            f"{record.policy} on heap {record.heap_seed}: {record.occlusions[0]:.0%} to "
-            f"{record.occlusions[-1]:.0%} hidden in {len(record.actions)} actions "
+            f"{record.policy} on heap {record.heap_seed}: {in_words(record)} "
             f"({record.end}), reward {record.rewards.sum():.1f}"
         )
         wrote(self.out)

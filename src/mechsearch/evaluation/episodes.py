@@ -388,6 +388,23 @@ def _retrieving(record: EpisodeRecord) -> dict[str, float]:
     }
 
 
+def in_words(record: EpisodeRecord) -> str:
+    """Return what happened, such as "95% to 0% hidden in 12 actions", or which grasps were made."""
+    if record.retrieval is None:
+        before, after = record.occlusions[0], record.occlusions[-1]
+        return f"{before:.0%} to {after:.0%} hidden in {len(record.actions)} actions"
+    kinds, said = record.actions[:, 0].tolist(), record.retrieval.outcomes
+    tried = [(k, outcome) for k, outcome in zip(kinds, said, strict=True) if outcome != USED_UP]
+    words = []
+    for kind, name in ((PUSH, "push"), (REMOVE, "removal"), (GRASP, "grasp")):
+        outcomes = [outcome for k, outcome in tried if k == kind]
+        if outcomes:
+            several = {"push": "pushes"}.get(name, f"{name}s")
+            number = f"{len(outcomes)} {name if len(outcomes) == 1 else several}"
+            words.append(number if kind == PUSH else f"{number} ({', '.join(outcomes)})")
+    return f"{record.occlusions[0]:.0%} hidden at the start; {', '.join(words) or 'nothing done'}"
+
+
 def mean_interval(values: ArrayLike) -> Estimate:
     """Return the mean of values (n,) with Student's t interval."""
     x = _checked(values)

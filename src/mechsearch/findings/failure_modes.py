@@ -5,15 +5,19 @@ environment", and an end effector that moves "near the target object but does no
 objects occluding it". Both are long stretches of actions in which nothing moves; what tells them
 apart is whether the end effector keeps reversing. Random commands reverse in a quarter of their
 turns.
+
+A retrieval that fails is named after what came of its last grasps.
 """
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
-from mechsearch.types import Floats
+from mechsearch.sim.lift import Outcome
+from mechsearch.types import GRASP, USED_UP, Floats
 
 SUCCESS = "success"
 BACK_AND_FORTH = "back and forth"
@@ -23,9 +27,25 @@ STANDING = "standing still"
 UNFINISHED = "unfinished"
 LOST = "target lost"
 FAILED_SIMULATION = "failed simulation"
-EPISODE_MODES = (
+UNCOVERING_MODES = (
     *(SUCCESS, BACK_AND_FORTH, HOVERING, ASTRAY, STANDING, UNFINISHED, LOST, FAILED_SIMULATION),
 )
+"""How episodes end in which the target is to be uncovered only."""
+
+NEVER_GRASPED = "never grasped"
+GRASP_MODES = (
+    *map(str, (Outcome.BLOCKED, Outcome.MISSED, Outcome.NO_SEAL, Outcome.SLIPPED, Outcome.DROPPED)),
+    *map(str, (Outcome.WRONG_OBJECT, Outcome.TWO_OBJECTS)),
+    NEVER_GRASPED,
+)
+RETRIEVAL_MODES = (SUCCESS, *GRASP_MODES, LOST, FAILED_SIMULATION)
+"""How episodes of retrieval end."""
+
+EPISODE_MODES = (*UNCOVERING_MODES, *GRASP_MODES)
+"""All of them; compact scores know them by their place, so that new ones come last."""
+
+LAST_GRASPS = 3
+"""Grasps of the target, the last ones, after which a failed retrieval is named."""
 
 
 STILL = 1e-3
@@ -74,6 +94,16 @@ DEFINITION = (
 )
 """The modes in words."""
 
+RETRIEVAL_DEFINITION = (
+    f"An episode that ends with the target in the hand is a success. Any other is named after what "
+    f"most of its last {LAST_GRASPS} grasps of the target came to, the later one of two that are as "
+    "many: “blocked” (something was in the fingers' way), “missed” (nothing, or not the target, was "
+    "between them), “no seal” (of suction), “slipped” (on the way up), “dropped” (in the shake), "
+    f"“wrong object” or “two objects” (came up); “{NEVER_GRASPED}” if there was none. The remaining "
+    f"ones are “{LOST}” (off the table) or “{FAILED_SIMULATION}”."
+)
+"""The modes of retrieval in words."""
+
 
 def mode_of(record: EpisodeRecord) -> EpisodeMode:
     """Return how an episode went."""
@@ -89,6 +119,8 @@ def _mode(record: EpisodeRecord, first: int, last: int) -> str:
         return LOST
     if record.end.startswith("failure"):
         return FAILED_SIMULATION
+    if record.retrieval:
+        return _mode_of_grasps(record)
     if last - first < STRETCH:
         return UNFINISHED
     path = record.ee_positions[first : last + 1]
@@ -101,6 +133,16 @@ def _mode(record: EpisodeRecord, first: int, last: int) -> str:
     target = record.poses[first : last + 1, record.target, :2]
     distance = np.median(np.linalg.norm(path[:, :2] - target, axis=1))
     return HOVERING if distance <= NEAR else ASTRAY
+
+
+def _mode_of_grasps(record: EpisodeRecord) -> str:
+    """Return what most of the last grasps of the target came to."""
+    assert record.retrieval is not None
+    pairs = zip(record.actions[:, 0].tolist(), record.retrieval.outcomes, strict=True)
+    grasps = [said for kind, said in pairs if kind == GRASP and said != USED_UP]
+    # The later comes first, and of as many the first is taken.
+    latest = Counter(grasps[-LAST_GRASPS:][::-1])
+    return latest.most_common(1)[0][0] if latest else NEVER_GRASPED
 
 
 def longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:

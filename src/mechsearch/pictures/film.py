@@ -1,24 +1,29 @@
 """Recorded episodes as pictures and films: target green, path of the end effector blue.
 
-Poses are rendered again, so a picture of any size can be made from the record alone. Films are GIF
-with Pillow alone, or MP4 with the `video` extra.
+Poses are rendered again, so a picture of any size can be made from the record alone. In retrieval
+the gripper is in the picture while it grasps. Films are GIF with Pillow alone, or MP4 with the
+`video` extra.
 """
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from mechsearch.camera import Camera, preset
+from mechsearch.camera import Camera, look_at, preset
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.files import write_whole
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import SMOOTHING, captioned, photographed, shrunk, tiled
+from mechsearch.pictures.moments import OUT_OF_SIGHT, Hands, Moment, Play, pushed, recorded
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.sim.scene import Pusher, pusher_model
+from mechsearch.types import PUSH, Array, Floats, MechSearchError
 
 FORMATS = (".gif", ".mp4")
 Models = Mapping[str, ObjectModel]
@@ -30,18 +35,25 @@ class FilmConfig:
     """How frames look.
 
     Attributes:
-        camera: Name of the view, "overhead" or "tilted".
+        camera: Name of the view, "overhead" or "tilted"; empty takes the first for pushes alone,
+            and for retrieval one from the side that shows what is lifted.
         size: Side of each frame [px].
-        captions: Whether to write below each frame how much of the target is hidden.
+        captions: Whether to write below each frame what happens.
     """
 
-    camera: str = "overhead"
+    camera: str = ""
     size: int = 288
     captions: bool = True
 
 
 class Film:
-    """Draws the frames of one episode."""
+    """Draws the frames of one episode.
+
+    Attributes:
+        record: The episode.
+        config: How frames look.
+        moments: What there is to draw: of pushes the start, and the state after each action.
+    """
 
     def __init__(
         self,
@@ -49,6 +61,8 @@ class Film:
         models: Models,
         config: FilmConfig,
         pusher: ObjectModel | None = None,
+        moments: Sequence[Moment] = (),
+        parts: Sequence[ObjectModel] = (),
     ) -> None:
         """Prepare the objects of an episode.
 
@@ -56,7 +70,9 @@ class Film:
             record: The episode.
             models: Objects by name; those of the episode must be among them.
             config: How frames look.
-            pusher: Mesh of the end effector with its tip at the origin; None leaves it out.
+            pusher: Mesh of what pushes with its tip at the origin; None leaves it out.
+            moments: What there is to draw; by default the states of an episode of pushes.
+            parts: What else their `parts` place.
 
         Raises:
             MechSearchError: If an object of the episode is not among the models.
@@ -67,54 +83,112 @@ class Film:
                 f"the episode on heap {record.heap_seed} has objects that this set lacks: "
                 f"{', '.join(missing)}; draw it with the object set it was recorded with"
             )
-        self.record = record
-        self.config = config
-        self._renderer = Renderer([models[name] for name in record.objects], pusher)
+        self.record, self.config = record, config
+        self.moments = tuple(moments or pushed(record))
+        self._parts = tuple(parts)
+        self._renderer = Renderer([*(models[name] for name in record.objects), *parts], pusher)
         self._pusher = pusher is not None
-        self._camera = preset(config.camera, config.size * SMOOTHING)
+        size = config.size * SMOOTHING
+        of_lifts = record.retrieval and not config.camera
+        self._camera = _lift_view(size) if of_lifts else preset(config.camera or "overhead", size)
 
-    def frame(self, step: int, until: int | None = None) -> Image.Image:
-        """Return the state after some actions, with a path of the end effector from the start.
+    @property
+    def last(self) -> int:
+        """Number of the last moment."""
+        return len(self.moments) - 1
+
+    def frame(self, number: int, until: int | None = None) -> Image.Image:
+        """Return a moment, with the path of pushes.
 
         Args:
-            step: From 0, the start, to T, the end.
-            until: Step at which the path ends, 0 for none; by default the one that is shown.
+            number: Of the moment, from 0, the start; of pushes, of the actions before it.
+            until: Action at which the path ends, 0 for none; by default the one that is shown, and
+                after a grasp the path begins anew.
         """
-        record, last = self.record, len(self.record.actions)
-        pose = np.array([*record.ee_positions[step], 1.0, 0.0, 0.0, 0.0])
-        pusher = pose if self._pusher else None
-        image = photographed(
-            self._renderer, self._camera, record.poses[step], record.target, pusher
-        )
-        path = record.ee_positions[: (step if until is None else until) + 1]
-        if len(path) > 1:
+        record, moment = self.record, self.moments[number]
+        parts = moment.parts
+        tip = np.array([*record.ee_positions[moment.step], 1.0, 0.0, 0.0, 0.0])
+        pusher = tip if self._pusher and parts is None else None
+        poses = moment.poses
+        if self._parts:
+            hidden = np.tile(OUT_OF_SIGHT, (len(self._parts), 1))
+            poses = np.concatenate([poses, hidden if parts is None else parts])
+        image = photographed(self._renderer, self._camera, poses, record.target, pusher)
+        for path in _path(record, moment) if until is None else _paths(record, until):
             draw_path(image, self._camera, path)
         small = shrunk(image, self.config.size)
         if not self.config.captions:
             return small
-        words = f"{step} action{'s' if step > 1 else ''}" if step else "start"
-        words += f": {record.occlusions[step]:.0%} hidden"
-        words += f", {record.end}" if 0 < step == last else ""
-        return captioned(small, words, text=max(11, self.config.size // 20))
+        return captioned(small, moment.words, text=max(11, self.config.size // 20))
+
+
+def film_of(
+    header: Mapping[str, Any],
+    record: EpisodeRecord,
+    models: Models,
+    config: FilmConfig,
+    robot: bool = False,
+    play: Play = recorded,
+) -> Film:
+    """Return the film of an episode of either task.
+
+    Args:
+        header: Of the evaluation.
+        record: The episode.
+        models: Objects by name.
+        config: How frames look.
+        robot: Whether what pushes is in the picture; a gripper that grasps always is.
+        play: Makes the moments of an episode of retrieval.
+
+    Raises:
+        MechSearchError: If an object of the episode is not among the models.
+    """
+    if record.retrieval is None:
+        return Film(record, models, config, pusher_model(Pusher()) if robot else None)
+    hands = Hands(header)
+    pusher = hands.grippers[0].closed_model() if robot else None
+    return Film(record, models, config, pusher, play(header, record, models), hands.models)
+
+
+def _lift_view(size: int) -> Camera:
+    """Return a view from the side, wide enough for tall objects in the gripper."""
+    pose, centre, focal = look_at((0.0, -0.9, 0.85), (0.0, 0.0, 0.13), (0, 0, 1)), (size - 1) / 2, 1.4 * size
+    return Camera(size, size, focal, focal, centre, centre, pose)
+
+
+def _path(record: EpisodeRecord, moment: Moment) -> list[Floats]:
+    """Return the path of the pushes that go on at a moment, if they do."""
+    over = record.retrieval and moment.step and record.actions[moment.step - 1, 0] != PUSH
+    return [] if over or moment.parts is not None else _paths(record, moment.step)[-1:]
+
+
+def _paths(record: EpisodeRecord, until: int) -> list[Floats]:
+    """Return the positions (K, 3) of the end effector up to an action, of each row of pushes."""
+    if record.retrieval is None:
+        return [record.ee_positions[: until + 1]] if until else []
+    pushing = groupby(range(until), lambda step: record.actions[step, 0] == PUSH)
+    rows = [[*steps] for pushes, steps in pushing if pushes]
+    return [record.ee_positions[row[0] : row[-1] + 2] for row in rows]
 
 
 def start_and_end(*films: Film) -> Image.Image:
     """Return each start with the whole path, and the end, side by side (paper, Fig. 1)."""
     pairs = []
     for film in films:
-        last = len(film.record.actions)
-        pairs.append(tiled([film.frame(0, until=last), film.frame(last, until=0)], 2))
+        whole = len(film.record.actions)
+        pairs.append(tiled([film.frame(0, until=whole), film.frame(film.last, until=0)], 2))
     return tiled(pairs, len(pairs), gap=18)
 
 
 def filmstrip(film: Film, frames: int = 5) -> Image.Image:
-    """Return `frames` states spread evenly from start to end, each with the path so far.
+    """Return `frames` moments spread evenly from start to end, each with the path so far.
 
     Raises:
         MechSearchError: If fewer than two frames are asked for.
     """
-    steps = frame_steps(len(film.record.actions), frames)
-    return tiled([film.frame(step) for step in steps], len(steps))
+    telling = [number for number, moment in enumerate(film.moments) if moment.telling]
+    shown = [telling[i] for i in frame_steps(len(telling) - 1, frames)]
+    return tiled([film.frame(number) for number in shown], len(shown))
 
 
 def frame_steps(last: int, frames: int) -> list[int]:
@@ -151,7 +225,7 @@ def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
     Args:
         path: Ends in .gif or .mp4.
         film: The episode.
-        rate: Actions shown in a second.
+        rate: Moments shown in a second.
 
     Raises:
         MechSearchError: If the format is unknown, the rate is not positive, or MP4 is asked for
@@ -174,8 +248,8 @@ def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
 
 
 def _write_gif(path: Path, film: Film, rate: float) -> None:
-    last = len(film.record.actions)
-    frames = [film.frame(step) for step in range(last + 1)]
+    last = film.last
+    frames = [film.frame(number) for number in range(last + 1)]
     # One palette for all frames, from the two that differ most: colours do not flicker.
     palette = tiled([frames[0], frames[-1]], 2, gap=0).quantize(256, dither=Image.Dither.NONE)
     reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -193,7 +267,7 @@ def _write_gif(path: Path, film: Film, rate: float) -> None:
 def _write_mp4(path: Path, film: Film, rate: float) -> None:
     import imageio_ffmpeg
 
-    last = len(film.record.actions)
+    last = film.last
     steps = [*range(last + 1), *[last] * max(1, round(rate))]
     first = _even(film.frame(0))
     writer = imageio_ffmpeg.write_frames(

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import trimesh
 
+from mechsearch.geometry import apply, transform_from_pose
 from mechsearch.objects.model import ObjectModel
 from mechsearch.types import Floats, MechSearchError
 
@@ -114,6 +115,11 @@ class Gripper:
         top = self.length + 2 * float(self.palm_box[2])
         return Cylinder(fingers, 0.0, self.length), Cylinder(palm, self.length, top)
 
+    @property
+    def places(self) -> Floats:
+        """Centres (3, 3) of palm and open fingers, in the order of `models` [m]."""
+        return np.stack([self.palm_place, *(place for _, place in self.boxes[:2])])
+
     def models(self) -> list[ObjectModel]:
         """Return palm and both fingers for rendering, each about its own centre."""
         return [
@@ -187,6 +193,11 @@ class SuctionCup:
         """What cup and tube fill, from the lip upwards."""
         return (Cylinder(self.radius, 0.0, self.length),)
 
+    @property
+    def places(self) -> Floats:
+        """Centres (2, 3) of lip and tube, in the order of `models` [m]."""
+        return np.array([[0.0, 0.0, 0.002], [0.0, 0.0, (self.length + 0.004) / 2]])
+
     def models(self) -> list[ObjectModel]:
         """Return lip and tube for rendering, each about its own centre."""
         lip = trimesh.creation.cylinder(self.radius, 0.004, sections=24)
@@ -198,8 +209,7 @@ class SuctionCup:
 
     def closed_model(self) -> ObjectModel:
         """Return cup and tube for rendering, the lip's middle at the origin."""
-        heights = (0.002, (self.length + 0.004) / 2)
-        return _joined(self.models(), [np.array([0.0, 0.0, height]) for height in heights])
+        return _joined(self.models(), self.places)
 
 
 AnyGripper = Gripper | SuctionCup
@@ -228,6 +238,12 @@ def gripper_named(name: str) -> AnyGripper:
     return GRIPPERS[name]
 
 
+def open_parts(gripper: AnyGripper, pose: Floats) -> Floats:
+    """Return the poses (P, 7) of an open gripper's rendered parts, its frame being at `pose`."""
+    centres = apply(transform_from_pose(pose), gripper.places)
+    return np.hstack([centres, np.broadcast_to(pose[3:], (len(centres), 4))])
+
+
 def _box_model(name: str, half: Floats, colour: tuple[int, int, int]) -> ObjectModel:
     return _mesh_model(name, trimesh.creation.box(2 * half), colour)
 
@@ -240,7 +256,7 @@ def _mesh_model(name: str, mesh: trimesh.Trimesh, colour: tuple[int, int, int]) 
     )
 
 
-def _joined(models: Sequence[ObjectModel], places: Sequence[Floats]) -> ObjectModel:
+def _joined(models: Sequence[ObjectModel], places: Sequence[Floats] | Floats) -> ObjectModel:
     """Return one model of several, each at its place (3,)."""
     starts = np.cumsum([0, *(len(model.vertices) for model in models[:-1])])
     vertices = np.concatenate([m.vertices + at for m, at in zip(models, places, strict=True)])

@@ -18,6 +18,7 @@ from mechsearch.sim.gripper import (
     Gripper,
     SuctionCup,
     close_jaws,
+    open_parts,
     stiffen,
 )
 from mechsearch.sim.lift import (
@@ -499,8 +500,4 @@ class _CupRig(_Rig):
         """Return the poses (2, 7) of the rendered lip and tube."""
         data = self._data
         place = np.array([*data.xpos[self._wrist], *data.xquat[self._wrist]])
-        frame = transform_from_pose(place)
-        lip, tube = place.copy(), place.copy()
-        lip[:3] = apply(frame, np.array([0.0, 0.0, 0.002]))
-        tube[:3] = apply(frame, np.array([0.0, 0.0, (self.gripper.length + 0.004) / 2]))
-        return np.stack([lip, tube])
+        return open_parts(self.gripper, place)
