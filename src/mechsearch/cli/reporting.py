@@ -15,6 +15,7 @@ from mechsearch.files import write_text
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
 from mechsearch.pictures.film import Models
+from mechsearch.pictures.replay import replayed
 from mechsearch.report.contents import document
 from mechsearch.report.document import to_html, write_pdf
 from mechsearch.report.figures import draw_summary, to_svg
@@ -53,7 +54,7 @@ class Report(Command):
         found = analyse(read_experiment(*self.sources))
         planned = found.experiment.plan is not None
         models = self._models(found.experiment) if self.pictures else None
-        text = document(found, self.title, models)
+        text = document(found, self.title, models, replayed)
         write_text(self.out, to_html(text))
         pdf = self.pdf or (self.out.with_suffix(".pdf") if planned else None)
         if pdf:

@@ -10,18 +10,18 @@ import numpy as np
 from mechsearch.evaluation.episodes import (
     GRASP_METRICS,
     HIGHER_IS_BETTER,
-    METRICS,
     Estimate,
     share_interval,
 )
 from mechsearch.files import mixed
 from mechsearch.findings import claims, tables
 from mechsearch.findings.experiment import CURVE_COLUMNS, Condition, Experiment, curve_rows
-from mechsearch.findings.failure_modes import EPISODE_MODES
+from mechsearch.findings.failure_modes import RETRIEVAL_MODES, UNCOVERING_MODES
 from mechsearch.findings.scores import ScoredPolicy
-from mechsearch.findings.tables import TRADEOFF, Scores, Table
+from mechsearch.findings.tables import Scores, Table
 
 COUNTED = ("reward", "visibility_change", "uncovered_rate")
+RETRIEVAL_COUNTED = ("retrieved_within_1", "retrieved_within_5", "clutter_moved_m")
 SCORES_NOTE = (
     "Means with 95 % intervals over training seeds and heaps (heaps alone where there is one seed)."
     f" {tables.EPISODES_NOTE}"
@@ -29,6 +29,11 @@ SCORES_NOTE = (
 _MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
 _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
 _OPENINGS = {"better": "beats", "undecided": "shows no clear difference from", "worse": "loses to"}
+_RANKED_IN = {
+    "reward": "In reward",
+    "retrieved_within_1": "In targets retrieved at the first attempt [points]",
+    "retrieved_within_5": "In targets retrieved within five attempts [points]",
+}
 _AMOUNTS = {"better": "less than", "undecided": "about as much as", "worse": "more than"}
 _SIGNS = {"better": "▲ ", "worse": "▼ ", "undecided": "≈ "}
 
@@ -38,13 +43,14 @@ class Comparison:
     """One policy held against every other of its condition.
 
     Attributes:
-        condition: Its name.
+        heaps: What it is of in words; see `Condition`.
         ours: The policy.
-        against: Ours minus theirs by each of `METRICS`, by the name of the other policy.
-        sentences: In reward against all, and against doing nothing useful and the teachers.
+        against: Ours minus theirs by each of the condition's metrics, by the other policy's name.
+        sentences: In reward against all, and against doing nothing useful and the teachers; of
+            retrieval in the targets that were retrieved.
     """
 
-    condition: str
+    heaps: str
     ours: str
     against: Mapping[str, Scores]
     sentences: tuple[str, ...]
@@ -106,7 +112,7 @@ def tradeoff_rows(experiment: Experiment) -> list[tuple[str, ...]]:
         for count in (None, *condition.counts):
             for name, seeds in condition.policies.items():
                 place = (condition.name, str(count or "all"), name, str(len(seeds)))
-                found = condition.scores_of(name, TRADEOFF, count)
+                found = condition.scores_of(name, condition.tradeoff, count)
                 for metric, mean in found.items():
                     rows.append((*place, metric, *tables.plain_numbers(mean), str(mean.heaps)))
     return rows
@@ -122,18 +128,21 @@ def outcome(metric: str, difference: Estimate) -> str:
 def compare_with_others(condition: Condition, ours: str) -> Comparison:
     """Return how a policy compares with every other of its condition."""
     against = {
-        theirs: {m: claims.difference(condition, m, ours, theirs) for m in METRICS}
+        theirs: {m: claims.difference(condition, m, ours, theirs) for m in condition.metrics}
         for theirs in condition.policies
         if theirs != ours
     }
-    shown = {
-        theirs: f"{theirs} ({tables.cell('reward', found['reward'], True)})".replace("\n", ", ")
-        for theirs, found in against.items()
-    }
-    groups = "; it ".join(_grouped_in_words(_OPENINGS, "reward", against, shown))
-    sentences = [f"In reward, {ours} {groups}."] if against else []
-    sentences += _against_teachers(condition, ours, against)
-    return Comparison(condition.name, ours, against, tuple(sentences))
+    sentences = []
+    for metric in filter(condition.metrics.__contains__, _RANKED_IN if against else ()):
+        shown = {
+            theirs: f"{theirs} ({tables.cell(metric, found[metric], True)})".replace("\n", ", ")
+            for theirs, found in against.items()
+        }
+        groups = "; it ".join(_grouped_in_words(_OPENINGS, metric, against, shown))
+        sentences.append(f"{_RANKED_IN[metric]}, {ours} {groups}.")
+    if not condition.retrieves:
+        sentences += _against_teachers(condition, ours, against)
+    return Comparison(condition.heaps, ours, against, tuple(sentences))
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -144,7 +153,8 @@ def comparison_table(comparison: Comparison) -> Table:
         cells = [tables.cell(*one, signed=True) for one in found.items()]
         rows.append((theirs, *(_SIGNS[o] + text for o, text in zip(outcomes, cells, strict=True))))
         marks.append([one.replace("undecided", "") for one in outcomes])
-    labels = [tables.display(metric).label.replace("[%]", "[points]") for metric in METRICS]
+    metrics = next(iter(comparison.against.values()))
+    labels = [tables.display(metric).label.replace("[%]", "[points]") for metric in metrics]
     caption = f"{comparison.ours} minus each other policy: ▲ better, ▼ worse, ≈ no clear difference"
     return Table(caption, ("against", *labels), tuple(rows), marks)
 
@@ -156,7 +166,9 @@ def lead(experiment: Experiment) -> str:
         heaps = max(len(one.heaps) for one in condition.scored)
         split = str(condition.scored[0].header["split"])
         kinds = f"{split} " if split != "all" else ""
-        parts.append(f"{len(condition.policies)} policies on {heaps} {kinds}{condition.name} heaps")
+        kind = condition.scored[0].header["condition"] if condition.retrieves else condition.name
+        aim = " that retrieve" if condition.retrieves else ""
+        parts.append(f"{len(condition.policies)} policies{aim} on {heaps} {kinds}{kind} heaps")
     text = f"{' and '.join(parts)}, all from the same starts."
     actions = [
         one.actions for c in experiment.conditions.values() for one in c.scored if one.trained
@@ -172,36 +184,46 @@ def lead(experiment: Experiment) -> str:
 
 def score_tables(condition: Condition) -> list[Table]:
     """Return the scores of a condition's policies: in all, by number of objects, by reward term."""
-    where = f" in {condition.name} heaps"
+    where, counted = f" in {condition.heaps}", COUNTED
+    metrics, terms = condition.metrics, condition.terms
+    if condition.retrieves:
+        counted = RETRIEVAL_COUNTED
+        terms = [*terms, "reward"]
     scores = {
-        name: condition.scores_of(name, (*METRICS, *GRASP_METRICS, *condition.terms))
+        name: condition.scores_of(name, (*metrics, *GRASP_METRICS, *terms))
         for name in condition.policies
     }
     by_count = {
-        name: {count: condition.scores_of(name, COUNTED, count) for count in condition.counts}
+        name: {count: condition.scores_of(name, counted, count) for count in condition.counts}
         for name in condition.policies
     }
     facts = {
         "seeds": [str(len(seeds)) for seeds in condition.policies.values()],
-        "heaps": [str(row[METRICS[0]].heaps) for row in scores.values()],
+        "heaps": [str(row[metrics[0]].heaps) for row in scores.values()],
     }
     return [
         tables.score_table(scores, f"Scores{where}", facts),
-        *(tables.count_table(by_count, metric, where) for metric in COUNTED),
+        *(tables.count_table(by_count, metric, where) for metric in counted),
         tables.terms_table(scores, f"Reward terms{where}"),
     ]
 
 
 def mode_table(condition: Condition) -> Table:
-    """Return the share of each way to end [%] with Wilson intervals."""
+    """Return the share of each way to end [%] with Wilson intervals; of retrieval if it occurs."""
+    occurring = {episode.mode for one in condition.scored for episode in one.modes}
+    modes = (
+        [m for m in RETRIEVAL_MODES if m in occurring]
+        if condition.retrieves
+        else (UNCOVERING_MODES)
+    )
     rows = []
     for name, seeds in condition.policies.items():
         found = [episode.mode for one in seeds for episode in one.modes]
-        shares = [share_interval([float(f == mode) for f in found]) for mode in EPISODE_MODES]
+        shares = [share_interval([float(f == mode) for f in found]) for mode in modes]
         rows.append((name, str(len(found)), *(tables.cell("uncovered_rate", s) for s in shares)))
-    columns = ("policy", "episodes", *(f"{mode} [%]" for mode in EPISODE_MODES))
+    columns = ("policy", "episodes", *(f"{mode} [%]" for mode in modes))
     caption = (
-        f"How the episodes of {condition.name} heaps end, all training seeds together, with "
+        f"How the episodes of {condition.heaps} end, all training seeds together, with "
         "Wilson's 95 % intervals over episodes"
     )
     return Table(caption, columns, tuple(rows))
@@ -229,7 +251,7 @@ def made_table(condition: Condition) -> Table:
         "MuJoCo": first.get("engine"),
     }
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
-    caption = f"{condition.name.capitalize()} heaps: {said}"
+    caption = f"{condition.heaps.capitalize()}: {said}"
     return Table(caption, _MADE, rows, words=True, widths=_MADE_WIDTHS)
 
 

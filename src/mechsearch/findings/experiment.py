@@ -15,6 +15,7 @@ import numpy as np
 from mechsearch.evaluation.episodes import (
     GRASP_METRICS,
     METRICS,
+    RETRIEVAL_METRICS,
     SHARES,
     Estimate,
     mean_interval,
@@ -23,6 +24,7 @@ from mechsearch.evaluation.episodes import (
 from mechsearch.files import layout, read_lines, read_record
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.findings.scores import ScoredPolicy, episode_files, read_scored
+from mechsearch.findings.tables import RETRIEVAL_TRADEOFF, TRADEOFF
 from mechsearch.types import Floats, MechSearchError
 
 LISTED_FIRST = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
@@ -90,10 +92,10 @@ class LearningCurve:
 
 @dataclass(frozen=True)
 class Condition:
-    """Everything that was run on one kind of heaps.
+    """Everything that was run on one kind of heaps, to uncover targets or to retrieve them.
 
     Attributes:
-        name: Such as "single".
+        name: Such as "single"; of retrieval that no plan ties together "single-retrieval".
         policies: Each policy's scores, one for each seed; those that learnt first, then teachers.
         runs: Of each variant, one for each seed.
     """
@@ -108,14 +110,40 @@ class Condition:
         return [one for seeds in self.policies.values() for one in seeds]
 
     @property
+    def retrieves(self) -> bool:
+        """Whether targets are to be retrieved, and not uncovered only."""
+        return any(one.retrieves for one in self.scored)
+
+    @property
+    def heaps(self) -> str:
+        """What it is of in words, such as "single heaps" or "retrieval from single heaps"."""
+        kind = next((str(one.header["condition"]) for one in self.scored), self.name)
+        return f"{'retrieval from ' if self.retrieves else ''}{kind} heaps"
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the scores, but for reward terms and grasps."""
+        return RETRIEVAL_METRICS if self.retrieves else METRICS
+
+    @property
+    def headline(self) -> str:
+        """The score by which policies are ranked."""
+        return "retrieved_within_5" if self.retrieves else "reward"
+
+    @property
+    def tradeoff(self) -> tuple[str, str]:
+        """Two scores that are held against each other."""
+        return RETRIEVAL_TRADEOFF if self.retrieves else TRADEOFF
+
+    @property
     def learnt(self) -> list[str]:
         """Names of the policies that learnt."""
         return [name for name, seeds in self.policies.items() if seeds[0].trained]
 
     @property
     def subjects(self) -> list[str]:
-        """Names of the policies that learnt, or else of the one with the highest reward."""
-        best = max(self.policies, key=lambda name: self.matrices([name], "reward")[0].mean())
+        """Names of the policies that learnt, or else of the best by the headline."""
+        best = max(self.policies, key=lambda name: self.matrices([name], self.headline)[0].mean())
         return self.learnt or [best]
 
     @property
@@ -381,7 +409,8 @@ def _loose(sources: Sequence[Path]) -> Experiment:
     groups: dict[str, list[ScoredPolicy]] = {}
     for path in episode_files(sources):
         one = read_scored(path)
-        groups.setdefault(str(one.header["condition"]), []).append(one)
+        kind = str(one.header["condition"])
+        groups.setdefault(f"{kind}-retrieval" if one.retrieves else kind, []).append(one)
     if not groups:
         raise MechSearchError(
             f"no evaluation (.npz) under {', '.join(map(str, sources)) or 'nothing'}"
@@ -390,13 +419,15 @@ def _loose(sources: Sequence[Path]) -> Experiment:
     runs: dict[str, list[Run]] = {name: [] for name in groups}
     for log in dict.fromkeys(logs):
         run = read_run(log.parent)
-        places = {name for name, g in groups.items() if g[0].header["heap_set"] == run.heap_set}
+        places = [name for name, g in groups.items() if g[0].header["heap_set"] == run.heap_set]
         if not places and len(groups) > 1:
             raise MechSearchError(
                 f"{log.parent} does not say that it learnt from the heaps of one of the conditions "
                 f"{', '.join(groups)}; report it with the evaluations of its own condition alone"
             )
-        runs[next(iter(places or groups))].append(run)
+        # To uncover and to retrieve may be learnt from the same heaps.
+        own = [name for name in places if any(one.learnt_in(run.name) for one in groups[name])]
+        runs[next(iter(own or places or groups))].append(run)
     return Experiment(
         None, _by_name(_condition(name, _told_apart(g), runs[name]) for name, g in groups.items())
     )
@@ -410,11 +441,17 @@ def _condition(name: str, scored: Sequence[ScoredPolicy], runs: Sequence[Run]) -
                     f"{one.path} has {fact} {one.header[fact]} and {scored[0].path.name} has "
                     f"{scored[0].header[fact]}; expected the same in one condition"
                 )
+        if one.retrieves != scored[0].retrieves:
+            aims = ["retrieves" if o.retrieves else "uncovers" for o in (one, scored[0])]
+            raise MechSearchError(
+                f"{one.path} {aims[0]} and {scored[0].path.name} {aims[1]} targets; expected the "
+                "same in one condition"
+            )
     return Condition(name, _grouped(scored, lambda one: one.name), _grouped(runs, lambda r: r.name))
 
 
 def _by_name(conditions: Iterable[Condition]) -> dict[str, Condition]:
-    known = sorted(conditions, key=lambda one: (one.name != "single", one.name))
+    known = sorted(conditions, key=lambda c: (c.retrieves, not c.name.startswith("single"), c.name))
     return {condition.name: condition for condition in known}
 
 

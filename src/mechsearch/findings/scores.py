@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.evaluation.episodes import load_episodes, measure
+from mechsearch.evaluation.episodes import RETRIEVAL_METRICS, load_episodes, measure
 from mechsearch.files import ARRAY_DAMAGE, SCORES_SUFFIX, read_arrays, write_whole
 from mechsearch.findings.failure_modes import EPISODE_MODES, EpisodeMode, mode_of
 from mechsearch.types import Array, Floats, MechSearchError
@@ -66,6 +66,15 @@ class ScoredPolicy:
     def trained(self) -> bool:
         """Whether it learnt."""
         return bool(self.header["trained"])
+
+    @property
+    def retrieves(self) -> bool:
+        """Whether targets were to be retrieved, and not uncovered only."""
+        return RETRIEVAL_METRICS[0] in self.values
+
+    def learnt_in(self, run: str) -> bool:
+        """Return whether it may have learnt in a run of that name; grippers follow the name."""
+        return self.trained and (self.name == run or self.name.startswith(f"{run}-"))
 
     @property
     def actions(self) -> int:

@@ -17,12 +17,18 @@ from mechsearch.evaluation.episodes import (
 Scores = Mapping[str, Estimate]
 MINUS = "\N{MINUS SIGN}"
 TRADEOFF = ("episode_actions", "clutter_moved_m")
+RETRIEVAL_TRADEOFF = ("clutter_moved_m", "retrieved_within_5")
 PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability_change")
 """What the paper's Figure 4 shows."""
 
 EPISODES_NOTE = (
     "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
     "all its actions. Clutter moved is the path length of a non-target object."
+)
+ATTEMPTS_NOTE = (
+    "A target is retrieved within so many attempts if it was alone in the hand after at most so "
+    "many grasps of it. Removals are attempts to put another object aside, and wrong objects came "
+    "up in place of the target."
 )
 
 

@@ -4,21 +4,23 @@ Pictures of episodes are chosen by rule, not by hand.
 """
 
 import io
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mechsearch.evaluation.episodes import EpisodeRecord, load_episodes
+from mechsearch.evaluation.episodes import in_words, load_episodes
 from mechsearch.findings import analysis, failure_modes
 from mechsearch.findings.analysis import Analysis
 from mechsearch.findings.claims import Ruling, answer_table, overview_table
 from mechsearch.findings.experiment import EVALUATIONS, Condition, Experiment
 from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
-from mechsearch.findings.tables import number
-from mechsearch.pictures.film import Film, FilmConfig, Models, filmstrip, start_and_end
+from mechsearch.findings.tables import ATTEMPTS_NOTE, number
+from mechsearch.pictures.film import FilmConfig, Models, film_of, filmstrip, start_and_end
+from mechsearch.pictures.moments import Play, recorded
 from mechsearch.report import figures
 from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
 
@@ -44,13 +46,19 @@ _PANELS = (
 )
 
 
-def document(found: Analysis, title: str, models: Mapping[str, Models] | None = None) -> Document:
+def document(
+    found: Analysis,
+    title: str,
+    models: Mapping[str, Models] | None = None,
+    play: Play = recorded,
+) -> Document:
     """Return the whole report.
 
     Args:
         found: What the experiment says.
         title: At its head.
         models: Objects by name for each condition, to draw episodes; None leaves pictures out.
+        play: Makes what is drawn of an episode of retrieval.
     """
     experiment = found.experiment
     planned = experiment.plan is not None
@@ -62,16 +70,22 @@ def document(found: Analysis, title: str, models: Mapping[str, Models] | None = 
         sections["What beat what"] = _comparisons(found)
     if planned or experiment.runs:
         sections["Learning"] = _learning(experiment)
-    sections["Actions used against clutter moved"] = _tradeoff(experiment)
+    conditions = experiment.conditions.values()
+    sections["Actions used against clutter moved"] = _tradeoff(
+        [c for c in conditions if not c.retrieves]
+    )
+    sections["Targets retrieved against clutter moved"] = _tradeoff(
+        [c for c in conditions if c.retrieves]
+    )
     sections["Scores"] = _scores(experiment)
-    sections["How episodes end"] = _modes(experiment, models or {})
+    sections["How episodes end"] = _modes(experiment, models or {}, play)
     if models and not planned:
-        sections["Episodes"] = _episodes(experiment, models)
+        sections["Episodes"] = _episodes(experiment, models, play)
     notes = (Paragraph(note, "note") for note in analysis.made_notes(experiment))
     tables = map(analysis.made_table, experiment.conditions.values())
     sections["How this was made"] = chain(tables, notes)
     filled = [Section(name, list(blocks)) for name, blocks in sections.items()]
-    return Document(title, analysis.lead(experiment), filled)
+    return Document(title, analysis.lead(experiment), [one for one in filled if one.blocks])
 
 
 def _rulings(rulings: Sequence[Ruling], note: str = "") -> Iterator[Content]:
@@ -88,7 +102,7 @@ def _comparisons(found: Analysis) -> Iterator[Content]:
             yield Paragraph("A single policy has nothing to be compared with.")
             continue
         if several:
-            yield Paragraph(f"In {comparison.condition} heaps:")
+            yield Paragraph(f"In {comparison.heaps}:")
         verdict, *others = comparison.sentences
         yield Paragraph(verdict, "verdict")
         yield from map(Paragraph, others)
@@ -132,13 +146,15 @@ def _learning(experiment: Experiment) -> Iterator[Content]:
             yield _drawn(training, f"training-{run.name}-seed{run.seed}", caption, caption)
 
 
-def _tradeoff(experiment: Experiment) -> Iterator[Content]:
-    for name, condition in experiment.conditions.items():
+def _tradeoff(conditions: Sequence[Condition]) -> Iterator[Content]:
+    for condition in conditions:
+        what = "Targets retrieved" if condition.retrieves else "Actions used"
+        corner = "upper" if condition.retrieves else "lower"
         yield _drawn(
             figures.draw_tradeoff(condition),
-            f"tradeoff-{name}",
-            f"Actions used against clutter moved in {name} heaps",
-            f"{name.capitalize()} heaps: the nearer to the lower left the better. {_PANELS}",
+            f"tradeoff-{condition.name}",
+            f"{what} against clutter moved in {condition.heaps}",
+            f"{condition.heaps.capitalize()}: the nearer to the {corner} left the better. {_PANELS}",
         )
 
 
@@ -148,41 +164,61 @@ def _scores(experiment: Experiment) -> Iterator[Content]:
         yield _drawn(
             figures.draw_scores(scores, condition.subjects),
             f"scores-{name}",
-            f"Means and intervals of each policy in {name} heaps; the table has the numbers",
-            f"{name.capitalize()} heaps: means with 95 % intervals.",
+            f"Means and intervals of each policy in {condition.heaps}; the table has the numbers",
+            f"{condition.heaps.capitalize()}: means with 95 % intervals.",
         )
         yield from analysis.score_tables(condition)
     yield Paragraph(analysis.SCORES_NOTE, "note")
+    if any(condition.retrieves for condition in experiment.conditions.values()):
+        yield Paragraph(ATTEMPTS_NOTE, "note")
 
 
-def _modes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
+def _modes(experiment: Experiment, models: Mapping[str, Models], play: Play) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         yield analysis.mode_table(condition)
         if name in models:
-            yield from mode_pictures(condition, models[name])
-    yield Paragraph(failure_modes.DEFINITION, "note")
+            yield from mode_pictures(condition, models[name], play)
+    aims = {condition.retrieves for condition in experiment.conditions.values()}
+    definitions = {False: failure_modes.DEFINITION, True: failure_modes.RETRIEVAL_DEFINITION}
+    for aim in sorted(aims):
+        opening = "In retrieval: " if aim and len(aims) > 1 else ""
+        yield Paragraph(opening + definitions[aim], "note")
 
 
-def _episodes(experiment: Experiment, models: Mapping[str, Models]) -> Iterator[Content]:
+def _episodes(
+    experiment: Experiment, models: Mapping[str, Models], play: Play
+) -> Iterator[Content]:
     for name, condition in experiment.conditions.items():
         if name in models:
+            kind = condition.scored[0].header["condition"]
+            held = ", the target in the gripper if it was retrieved" if condition.retrieves else ""
             yield Paragraph(
-                f"Three {name} heaps, chosen by rank: where {condition.subjects[0]} had its "
+                f"Three {kind} heaps, chosen by rank: where {condition.subjects[0]} had its "
                 f"{', its '.join(RANKS[:-1])} and its {RANKS[-1]} reward. Of each pair, left: the "
                 "start, with the visible part of the target in green and the path of the end "
-                "effector in blue, from ring to dot; right: the end."
+                f"effector in blue, from ring to dot; right: the end{held}."
             )
-            yield from ranked_pictures(condition, models[name])
+            yield from ranked_pictures(condition, models[name], play)
 
 
-def mode_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
+def shown_modes(condition: Condition) -> tuple[str, ...]:
+    """Return what filmstrips show: success, and failures; of retrieval its two most common ones."""
+    if not condition.retrieves:
+        return SHOWN_MODES
+    subjects = [one for name in condition.subjects for one in condition.policies[name]]
+    modes = Counter(episode.mode for one in subjects for episode in one.modes)
+    return SUCCESS, *[mode for mode, _ in modes.most_common() if mode != SUCCESS][:2]
+
+
+def mode_pictures(condition: Condition, models: Models, play: Play = recorded) -> Iterator[Picture]:
     """Yield filmstrips of one success and one episode of each failure mode (paper, Fig. 1 and 6).
 
     Args:
         condition: Whose policies are shown: those that learnt, the first that has the mode.
         models: Objects by name.
+        play: Makes what is drawn of an episode of retrieval.
     """
-    for mode in SHOWN_MODES:
+    for mode in shown_modes(condition):
         example = exemplary_episode(condition, mode)
         if example is None:
             continue
@@ -190,20 +226,20 @@ def mode_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
         seed = int(scored.heaps[index])
         record = next(one for one in load_episodes(scored.path).episodes if one.heap_seed == seed)
         caption = (
-            f"{mode.capitalize()}: {scored.name}, seed {scored.seed}, on {condition.name} heap "
-            f"{seed} of {int(scored.counts[index])} objects, {_uncovering(record)}"
+            f"{mode.capitalize()}: {scored.name}, seed {scored.seed}, on {record.condition} heap "
+            f"{seed} of {int(scored.counts[index])} objects, {in_words(record)}"
         )
-        if mode != SUCCESS:
+        if mode != SUCCESS and not condition.retrieves:
             caption += f"; nothing moves for {scored.modes[index].stretch} actions in a row"
-        strip = filmstrip(Film(record, models, FilmConfig(size=_STRIP)), _FRAMES)
+        film = film_of(scored.header, record, models, FilmConfig(size=_STRIP), play=play)
+        strip = filmstrip(film, _FRAMES)
         yield Picture(_encoded(strip), f"Frames of an episode. {caption}", f"{caption}.")
 
 
 def exemplary_episode(condition: Condition, mode: str) -> tuple[ScoredPolicy, int] | None:
     """Return a policy and the index of the heap that shows a mode; None if no recorded one does.
 
-    Of the successes it is the median in reward, of the failures the one in which nothing moves for
-    longest.
+    It is the median in reward; of failures to uncover the one in which nothing moves for longest.
     """
     for name in condition.subjects:
         candidates = [
@@ -213,7 +249,7 @@ def exemplary_episode(condition: Condition, mode: str) -> tuple[ScoredPolicy, in
             for i, found in enumerate(scored.modes)
             if found.mode == mode
         ]
-        if candidates and mode == SUCCESS:
+        if candidates and (mode == SUCCESS or condition.retrieves):
             ranked = sorted(candidates, key=lambda one: float(one[0].values["reward"][one[1]]))
             return ranked[len(ranked) // 2]
         if candidates:
@@ -221,12 +257,15 @@ def exemplary_episode(condition: Condition, mode: str) -> tuple[ScoredPolicy, in
     return None
 
 
-def ranked_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
+def ranked_pictures(
+    condition: Condition, models: Models, play: Play = recorded
+) -> Iterator[Picture]:
     """Yield start and end of every policy on three heaps: the first that learnt ranks them.
 
     Args:
         condition: Whose policies are shown, the first seed of each whose episodes are there.
         models: Objects by name.
+        play: Makes what is drawn of an episode of retrieval.
     """
     chooser = condition.policies[condition.subjects[0]][0]
     heaps = ranked_heaps(chooser.heaps, chooser.values["reward"])
@@ -235,22 +274,21 @@ def ranked_pictures(condition: Condition, models: Models) -> Iterator[Picture]:
         files = [scored.path for scored in seeds if scored.path.exists()]
         if not files:
             continue
-        records = {record.heap_seed: record for record in load_episodes(files[0]).episodes}
+        evaluation = load_episodes(files[0])
+        records = {record.heap_seed: record for record in evaluation.episodes}
         shown = {rank: records[heap] for rank, heap in heaps.items() if heap in records}
-        films = [Film(record, models, config) for record in shown.values()]
+        films = [
+            film_of(evaluation.header, record, models, config, play=play)
+            for record in shown.values()
+        ]
         caption = "; ".join(
-            f"{rank}: {_uncovering(record)} ({record.end}), reward "
+            f"{rank}: {in_words(record)} ({record.end}), reward "
             f"{number('reward', float(record.rewards.sum()))}"
             for rank, record in shown.items()
         )
         if films:
             alt = f"Start and end of {len(films)} episodes. {name}: {caption}"
             yield Picture(_encoded(start_and_end(*films)), alt, f"{name}, {caption}.")
-
-
-def _uncovering(record: EpisodeRecord) -> str:
-    before, after = record.occlusions[0], record.occlusions[-1]
-    return f"{before:.0%} to {after:.0%} hidden in {len(record.actions)} actions"
 
 
 def _encoded(image: Image.Image) -> bytes:

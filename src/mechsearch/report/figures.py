@@ -16,7 +16,13 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mechsearch.evaluation.episodes import HIGHER_IS_BETTER, METRICS, Estimate, SummaryRow
+from mechsearch.evaluation.episodes import (
+    HIGHER_IS_BETTER,
+    METRICS,
+    RETRIEVAL_METRICS,
+    Estimate,
+    SummaryRow,
+)
 from mechsearch.findings.experiment import (
     Condition,
     Experiment,
@@ -24,7 +30,7 @@ from mechsearch.findings.experiment import (
     Run,
     learning_curve,
 )
-from mechsearch.findings.tables import PAPER_METRICS, TRADEOFF, Scores, display
+from mechsearch.findings.tables import PAPER_METRICS, Scores, display
 from mechsearch.types import Floats, MechSearchError
 
 # Okabe and Ito's colours, told apart by colour-blind readers; yellow is left out on white paper.
@@ -106,8 +112,9 @@ def draw_scores(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str]
     """
     with _style():
         height = 0.9 + 0.27 * sum(max(1, len(seeds)) for seeds in scores.values())
-        figure, axes = panels(len(METRICS), 3, 3.4, height)
-        for i, (metric, ax) in enumerate(zip(METRICS, axes, strict=True)):
+        shown = _shown_metrics(scores)
+        figure, axes = panels(len(shown), 3, 3.4, height)
+        for i, (metric, ax) in enumerate(zip(shown, axes, strict=True)):
             _scores_panel(ax, metric, scores, highlight)
             if i % 3:
                 ax.set_yticklabels([])
@@ -133,17 +140,18 @@ def draw_summary(rows: Sequence[SummaryRow]) -> Figure:
 
 
 def draw_tradeoff(condition: Condition) -> Figure:
-    """Return actions used against clutter moved of every policy, on the same axes everywhere.
+    """Return the condition's two scores against each other, on the same axes everywhere.
 
     One panel has all heaps; one follows for each number of objects.
     """
+    tradeoff = condition.tradeoff
     counts: list[int | None] = [None, *(condition.counts if len(condition.counts) > 1 else [])]
     measured = [
-        {name: condition.scores_of(name, TRADEOFF, count) for name in condition.policies}
+        {name: condition.scores_of(name, tradeoff, count) for name in condition.policies}
         for count in counts
     ]
     found = [{name: scores for name, scores in panel.items() if scores} for panel in measured]
-    limits = _limits([scores for panel in found for scores in panel.values()])
+    limits = _limits([scores for panel in found for scores in panel.values()], tradeoff)
     columns = min(len(counts), 4)
     with _style():
         figure, axes = panels(len(counts), columns, PRINTED_WIDTH / columns, 2.4)
@@ -151,8 +159,9 @@ def draw_tradeoff(condition: Condition) -> Figure:
             _tradeoff_panel(ax, panel, limits)
             ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
         for ax in axes[::columns]:
-            ax.set_ylabel(display(TRADEOFF[1]).label)
-        _label_below(figure, axes, columns, "actions used", ncols=5, fontsize=8)
+            ax.set_ylabel(display(tradeoff[1]).label)
+        across = display(tradeoff[0]).label if condition.retrieves else "actions used"
+        _label_below(figure, axes, columns, across, ncols=5, fontsize=8)
     return figure
 
 
@@ -197,6 +206,15 @@ def _label(row: SummaryRow, rows: Sequence[SummaryRow]) -> str:
     return ", ".join(words)
 
 
+def _shown_metrics(scores: Mapping[str, Sequence[Scores]]) -> list[str]:
+    """Return what there is to draw: scores of uncovering, of retrieval, or both."""
+    measured = {metric for seeds in scores.values() for values in seeds for metric in values}
+    retrieving = measured.intersection(RETRIEVAL_METRICS).difference(METRICS)
+    uncovering = measured.intersection(METRICS).difference(RETRIEVAL_METRICS, ("reward",))
+    names = METRICS if uncovering or not retrieving else ()
+    return list(dict.fromkeys((*names, *(RETRIEVAL_METRICS if retrieving else ()))))
+
+
 def _scores_panel(
     ax: Axes, metric: str, scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str]
 ) -> None:
@@ -224,10 +242,10 @@ def _scores_panel(
     ax.invert_yaxis()
 
 
-def _limits(found: Sequence[Scores]) -> dict[str, tuple[float, float]]:
+def _limits(found: Sequence[Scores], metrics: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the ends of both axes: by the means, since intervals of few seeds may be far wider."""
     limits = {}
-    for metric in TRADEOFF:
+    for metric in metrics:
         means = [one[metric].mean * display(metric).scale for one in found]
         margin = 0.12 * (max(means) - min(means) or 1)
         limits[metric] = (min(means) - margin, max(means) + 2 * margin)
@@ -237,10 +255,10 @@ def _limits(found: Sequence[Scores]) -> dict[str, tuple[float, float]]:
 def _tradeoff_panel(
     ax: Axes, found: Mapping[str, Scores], limits: Mapping[str, tuple[float, float]]
 ) -> None:
-    across, up = (limits[metric] for metric in TRADEOFF)
+    across, up = limits.values()
     for name, (colour, mark) in policy_marks(found).items():
         (x, *ends), (y, *heights) = (
-            _scaled(found[name][metric], display(metric).scale) for metric in TRADEOFF
+            _scaled(found[name][metric], display(metric).scale) for metric in limits
         )
         ax.plot(np.clip(ends, *across), [y, y], color=colour, linewidth=1, alpha=0.6)
         ax.plot([x, x], np.clip(heights, *up), color=colour, linewidth=1, alpha=0.6)
@@ -289,7 +307,8 @@ def draw_curves(
         variants: Names of the runs.
         height: Of a row [inch].
     """
-    conditions, kind = list(experiment.conditions.values()), experiment.scored_on
+    conditions = [c for c in experiment.conditions.values() if c.runs or not c.retrieves]
+    kind = experiment.scored_on
     places = [(metric, condition) for metric in metrics for condition in conditions]
     columns = max(2, len(conditions))
     with _style():
