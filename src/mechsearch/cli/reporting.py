@@ -32,7 +32,7 @@ class Report(Command):
         sources: A sweep's folder; or evaluations (.npz), run directories, and folders of either; or
             one summary (.csv).
         out: Page (.html) to write, or plot (.svg) of a summary.
-        title: Of the page.
+        title: Of the page; by default it says what was to be done.
         objects: Object set for the pictures; the one that the evaluations name by default.
         pictures: Whether to draw episodes.
         pdf: The same for print; of a sweep's folder beside the page by default.
@@ -40,7 +40,7 @@ class Report(Command):
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
     out: Path = Path("report.html")
-    title: str = "Uncovering a target in a heap"
+    title: str = ""
     objects: str = ""
     pictures: bool = True
     pdf: Path | None = None
@@ -54,7 +54,7 @@ class Report(Command):
         found = analyse(read_experiment(*self.sources))
         planned = found.experiment.plan is not None
         models = self._models(found.experiment) if self.pictures else None
-        text = document(found, self.title, models, replayed)
+        text = document(found, self.title or _title(found.experiment), models, replayed)
         write_text(self.out, to_html(text))
         pdf = self.pdf or (self.out.with_suffix(".pdf") if planned else None)
         if pdf:
@@ -81,6 +81,14 @@ class Report(Command):
             for name, headers in recorded.items()
             if headers
         }
+
+
+def _title(experiment: Experiment) -> str:
+    aims = {condition.retrieves for condition in experiment.conditions.values()}
+    if aims == {True}:
+        return "Retrieving a target from a heap"
+    done = "Uncovering and retrieving" if True in aims else "Uncovering"
+    return f"{done} a target in a heap"
 
 
 def _csv(rows: Sequence[Sequence[str]]) -> str:

@@ -10,6 +10,7 @@ import io
 import json
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -393,15 +394,17 @@ def in_words(record: EpisodeRecord) -> str:
     if record.retrieval is None:
         before, after = record.occlusions[0], record.occlusions[-1]
         return f"{before:.0%} to {after:.0%} hidden in {len(record.actions)} actions"
-    kinds, said = record.actions[:, 0].tolist(), record.retrieval.outcomes
-    tried = [(k, outcome) for k, outcome in zip(kinds, said, strict=True) if outcome != USED_UP]
+    pairs = zip(record.actions[:, 0].tolist(), record.retrieval.outcomes, strict=True)
+    tried = [(k, outcome) for k, outcome in pairs if outcome != USED_UP]
     words = []
     for kind, name in ((PUSH, "push"), (REMOVE, "removal"), (GRASP, "grasp")):
         outcomes = [outcome for k, outcome in tried if k == kind]
         if outcomes:
-            several = {"push": "pushes"}.get(name, f"{name}s")
+            several = "pushes" if kind == PUSH else f"{name}s"
             number = f"{len(outcomes)} {name if len(outcomes) == 1 else several}"
-            words.append(number if kind == PUSH else f"{number} ({', '.join(outcomes)})")
+            runs = [(said, len([*same])) for said, same in groupby(outcomes)]
+            said = ", ".join(f"{n} {outcome}" if n > 1 else outcome for outcome, n in runs)
+            words.append(number if kind == PUSH else f"{number} ({said})")
     return f"{record.occlusions[0]:.0%} hidden at the start; {', '.join(words) or 'nothing done'}"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from mechsearch.evaluation.episodes import (
     GRASP_METRICS,
     HIGHER_IS_BETTER,
+    SHARES,
     Estimate,
     share_interval,
 )
@@ -31,8 +32,8 @@ _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
 _OPENINGS = {"better": "beats", "undecided": "shows no clear difference from", "worse": "loses to"}
 _RANKED_IN = {
     "reward": "In reward",
-    "retrieved_within_1": "In targets retrieved at the first attempt [points]",
-    "retrieved_within_5": "In targets retrieved within five attempts [points]",
+    "retrieved_within_1": "In targets retrieved at the first attempt",
+    "retrieved_within_5": "In targets retrieved within five attempts",
 }
 _AMOUNTS = {"better": "less than", "undecided": "about as much as", "worse": "more than"}
 _SIGNS = {"better": "▲ ", "worse": "▼ ", "undecided": "≈ "}
@@ -135,7 +136,7 @@ def compare_with_others(condition: Condition, ours: str) -> Comparison:
     sentences = []
     for metric in filter(condition.metrics.__contains__, _RANKED_IN if against else ()):
         shown = {
-            theirs: f"{theirs} ({tables.cell(metric, found[metric], True)})".replace("\n", ", ")
+            theirs: f"{theirs} ({_difference(metric, found[metric])})"
             for theirs, found in against.items()
         }
         groups = "; it ".join(_grouped_in_words(_OPENINGS, metric, against, shown))
@@ -143,6 +144,12 @@ def compare_with_others(condition: Condition, ours: str) -> Comparison:
     if not condition.retrieves:
         sentences += _against_teachers(condition, ours, against)
     return Comparison(condition.heaps, ours, against, tuple(sentences))
+
+
+def _difference(metric: str, estimate: Estimate) -> str:
+    """Return a difference in words; shares differ by points."""
+    text = tables.cell(metric, estimate, signed=True).replace("\n", ", ")
+    return f"{text} points" if metric in SHARES else text
 
 
 def comparison_table(comparison: Comparison) -> Table:

@@ -95,12 +95,12 @@ DEFINITION = (
 """The modes in words."""
 
 RETRIEVAL_DEFINITION = (
-    f"An episode that ends with the target in the hand is a success. Any other is named after what "
-    f"most of its last {LAST_GRASPS} grasps of the target came to, the later one of two that are as "
-    "many: “blocked” (something was in the fingers' way), “missed” (nothing, or not the target, was "
+    "An episode that ends with the target in the hand is a success. Any other is named after what "
+    f"most of its last {LAST_GRASPS} grasps of the target came to, or after the last of them if no "
+    "two are alike: “blocked” (something was in the fingers' way), “missed” (the target was not "
     "between them), “no seal” (of suction), “slipped” (on the way up), “dropped” (in the shake), "
-    f"“wrong object” or “two objects” (came up); “{NEVER_GRASPED}” if there was none. The remaining "
-    f"ones are “{LOST}” (off the table) or “{FAILED_SIMULATION}”."
+    f"“wrong object” or “two objects” (came up); “{NEVER_GRASPED}” if there was none. The others "
+    f"are “{LOST}” (off the table) or “{FAILED_SIMULATION}”."
 )
 """The modes of retrieval in words."""
 

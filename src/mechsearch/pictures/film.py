@@ -20,7 +20,15 @@ from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.files import write_whole
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import SMOOTHING, captioned, photographed, shrunk, tiled
-from mechsearch.pictures.moments import OUT_OF_SIGHT, Hands, Moment, Play, pushed, recorded
+from mechsearch.pictures.moments import (
+    FILMS_ALONE,
+    OUT_OF_SIGHT,
+    Hands,
+    Moment,
+    Play,
+    pushed,
+    recorded,
+)
 from mechsearch.render.renderer import Renderer
 from mechsearch.sim.scene import Pusher, pusher_model
 from mechsearch.types import PUSH, Array, Floats, MechSearchError
@@ -187,11 +195,16 @@ def start_and_end(*films: Film) -> Image.Image:
 def filmstrip(film: Film, frames: int = 5) -> Image.Image:
     """Return `frames` moments spread evenly from start to end, each with the path so far.
 
+    Of grasps they show what came of them, and the phases where there are not enough others.
+
     Raises:
         MechSearchError: If fewer than two frames are asked for.
     """
-    telling = [number for number, moment in enumerate(film.moments) if moment.telling]
-    shown = [telling[i] for i in frame_steps(len(telling) - 1, frames)]
+    for detail in range(FILMS_ALONE):
+        listed = [n for n, moment in enumerate(film.moments) if moment.detail <= detail]
+        if len(listed) >= frames:
+            break
+    shown = [listed[i] for i in frame_steps(len(listed) - 1, frames)]
     return tiled([film.frame(number) for number in shown], len(shown))
 
 

@@ -18,6 +18,12 @@ from mechsearch.types import PUSH, USED_UP, Floats
 KINDS = ("push", "grasp", "removal")
 """What decisions are called, by number."""
 
+PHASES = {"close": 1, "lift": 2, "descend": 2}
+"""Phases of a grasp whose ends a filmstrip shows where it has the room, and from which detail."""
+
+FILMS_ALONE = 3
+"""Detail of what no filmstrip shows."""
+
 OUT_OF_SIGHT = np.array([0.0, 0.0, 50.0, 1.0, 0.0, 0.0, 0.0])
 """Pose (7,) where nothing is seen."""
 
@@ -32,14 +38,15 @@ class Moment:
         words: What happens.
         parts: Poses (P, 7) of the rendered parts of all grippers while one grasps; None while the
             closed one pushes, or waits.
-        telling: Whether a filmstrip may show it.
+        detail: From which on a filmstrip shows it: 0 what came of actions, `PHASES` in turn, and
+            above these films alone.
     """
 
     step: int
     poses: Floats
     words: str
     parts: Floats | None = None
-    telling: bool = True
+    detail: int = 0
 
 
 Play = Callable[[Mapping[str, Any], EpisodeRecord, Mapping[str, ObjectModel]], Sequence[Moment]]
@@ -118,8 +125,8 @@ def moment_after(record: EpisodeRecord, step: int, hands: Hands) -> Moment:
     words = f"{hands.title(record, step)}: {said}{_end(record, step)}"
     # Of pushes in a row a filmstrip shows the last.
     kinds = record.actions[step : step + 2, 0].tolist()
-    telling = kinds[0] == PUSH and kinds != [PUSH, PUSH]
-    return Moment(step + 1, record.poses[step + 1], words, telling=telling)
+    shown = kinds[0] == PUSH and kinds != [PUSH, PUSH]
+    return Moment(step + 1, record.poses[step + 1], words, detail=0 if shown else FILMS_ALONE)
 
 
 def is_shown_after(record: EpisodeRecord, step: int) -> bool:

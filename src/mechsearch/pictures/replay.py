@@ -13,6 +13,8 @@ from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.pictures.moments import (
+    FILMS_ALONE,
+    PHASES,
     Hands,
     Moment,
     first_moment,
@@ -31,7 +33,6 @@ _SAME = 1e-3
 
 _SAID = {"lower": "put back", "open": "let go"}
 _AFTER = ("lower", "open", "leave")
-_PHASES = ("descend", "close", "lift")
 
 
 def replayed(
@@ -89,7 +90,7 @@ def _grasp(
             words = _SAID.get(phase, phase)
             if is_judged and is_last:
                 words = outcome_of(record, step) + (f", {record.end}" if ends else "")
-            # All phases of the last grasp, and what came of the others.
-            telling = is_last and (is_judged or (ends and phase in _PHASES))
+            detail = PHASES.get(phase, FILMS_ALONE) if is_last else FILMS_ALONE
             parts = hands.parts(number, frame.gripper)
-            yield Moment(step, frame.poses, f"{title}: {words}", parts, telling)
+            shown = 0 if is_judged and is_last else detail
+            yield Moment(step, frame.poses, f"{title}: {words}", parts, shown)

@@ -154,7 +154,8 @@ def _tradeoff(conditions: Sequence[Condition]) -> Iterator[Content]:
             figures.draw_tradeoff(condition),
             f"tradeoff-{condition.name}",
             f"{what} against clutter moved in {condition.heaps}",
-            f"{condition.heaps.capitalize()}: the nearer to the {corner} left the better. {_PANELS}",
+            f"{condition.heaps.capitalize()}: the nearer to the {corner} left the better. "
+            f"{_PANELS}",
         )
 
 

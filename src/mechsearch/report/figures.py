@@ -157,7 +157,8 @@ def draw_tradeoff(condition: Condition) -> Figure:
         figure, axes = panels(len(counts), columns, PRINTED_WIDTH / columns, 2.4)
         for ax, count, panel in zip(axes, counts, found, strict=True):
             _tradeoff_panel(ax, panel, limits)
-            ax.set_title(f"{count} objects" if count else f"{condition.name}, all heaps")
+            whole = "all heaps" if condition.retrieves else f"{condition.name}, all heaps"
+            ax.set_title(f"{count} objects" if count else whole)
         for ax in axes[::columns]:
             ax.set_ylabel(display(tradeoff[1]).label)
         across = display(tradeoff[0]).label if condition.retrieves else "actions used"
