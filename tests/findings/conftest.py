@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord, save_episodes
+from mechsearch.env.decision import Decision
+from mechsearch.evaluation.episodes import (
+    EpisodeRecord,
+    Evaluation,
+    GraspRecord,
+    RetrievalRecord,
+    save_episodes,
+)
 from mechsearch.objects.model import ObjectModel
 
 MakeEvaluation = Callable[..., Evaluation]
@@ -74,6 +81,55 @@ def make_evaluation() -> MakeEvaluation:
         return Evaluation(values | header, tuple(episodes))
 
     return make
+
+
+GRASP = Decision.grasp([0, 0, 0.03, 1, 0, 0, 0])
+
+
+def grasping(record: EpisodeRecord, *outcomes: str, pushes: int = 1) -> EpisodeRecord:
+    """Return the episode as one of retrieval: pushes, and grasps that come to these outcomes."""
+    decisions = [Decision.push([0, 0, 1])] * pushes + [GRASP] * len(outcomes)
+    length, retrieved = len(decisions), outcomes[-1:] == ("success",)
+    moved = record.clutter_moved[:length]
+    held = tuple((record.target,) if outcome == "success" else () for outcome in outcomes)
+    return replace(
+        record,
+        actions=np.array([decision.vector() for decision in decisions]),
+        ee_positions=record.ee_positions[: length + 1],
+        occlusions=record.occlusions[: length + 1],
+        poses=record.poses[: length + 1],
+        clutter_moved=moved,
+        target_moved=record.target_moved[:length],
+        reward_terms={"retrieved": np.eye(length)[-1] * retrieved, "clutter_movement": -moved},
+        end="retrieved" if retrieved else "budget",
+        retrieval=RetrievalRecord(("",) * pushes + outcomes, ((),) * pushes + held),
+    )
+
+
+@pytest.fixture(scope="session")
+def make_retrieval(make_evaluation) -> MakeEvaluation:
+    """Makes evaluations in which every second episode takes some attempts more, or fails."""
+
+    def make(name: str, *outcomes: str, **header: object) -> Evaluation:
+        evaluation = make_evaluation(name, 0.5, goal="retrieve", **header)
+        env = {"grippers": ["jaws-85"]}
+        episodes = tuple(
+            grasping(record, *(outcomes if i % 2 else ("success",)))
+            for i, record in enumerate(evaluation.episodes)
+        )
+        return Evaluation({**evaluation.header, "env": env}, episodes)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def retrievals(make_retrieval, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of evaluations of retrieval."""
+    folder = tmp_path_factory.mktemp("retrievals")
+    slipping = "slipped", "slipped", "blocked", "slipped"
+    for name, outcomes in {"persistent": ("missed", "success"), "weak": slipping}.items():
+        save_episodes(folder / f"{name}.npz", make_retrieval(name, *outcomes))
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@ from pathlib import Path
 
 from mechsearch.findings.analysis import mode_table
 from mechsearch.findings.experiment import read_experiment
-from mechsearch.findings.failure_modes import EPISODE_MODES, HOVERING, SUCCESS, EpisodeMode
+from mechsearch.findings.failure_modes import HOVERING, SUCCESS, UNCOVERING_MODES, EpisodeMode
 
 
 def test_the_table_counts_every_episode_once_with_wilson_s_interval(loose: Path) -> None:
@@ -19,7 +19,7 @@ def test_the_table_counts_every_episode_once_with_wilson_s_interval(loose: Path)
         modes=modes,
     )
     (row,) = mode_table(replace(single, policies={"method": (ten,)})).rows
-    shares = dict(zip(EPISODE_MODES, row[2:], strict=True))
+    shares = dict(zip(UNCOVERING_MODES, row[2:], strict=True))
     assert row[:2] == ("method", "10")
     assert shares[SUCCESS] == "30\n11 to 60"
     assert sum(int(cell.split("\n")[0]) for cell in row[2:]) == 100

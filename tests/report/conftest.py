@@ -1,3 +1,21 @@
-from tests.findings.conftest import evaluations, loose, make_evaluation, models, sweep, write_sweep
+from tests.findings.conftest import (
+    evaluations,
+    loose,
+    make_evaluation,
+    make_retrieval,
+    models,
+    retrievals,
+    sweep,
+    write_sweep,
+)
 
-__all__ = ["evaluations", "loose", "make_evaluation", "models", "sweep", "write_sweep"]
+__all__ = [
+    "evaluations",
+    "loose",
+    "make_evaluation",
+    "make_retrieval",
+    "models",
+    "retrievals",
+    "sweep",
+    "write_sweep",
+]
