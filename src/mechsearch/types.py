@@ -41,6 +41,9 @@ ACTION_LENGTH = 0.05
 PUSH, GRASP, REMOVE = 0, 1, 2
 """Kinds of decisions in retrieval: a push, a grasp of the target, the removal of another object."""
 
+DECISION_NAMES = ("push", "grasp", "removal")
+"""Names of the kinds, by number."""
+
 DECISION_SIZE = 9
 """Numbers of a decision as a vector: its kind, the gripper's number, and seven more."""
 

@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 
 from mechsearch.geometry import yaw_quaternion
 from mechsearch.sim.scene import Workspace
-from mechsearch.types import DECISION_SIZE, GRASP, PUSH, REMOVE, Array, Floats, MechSearchError
-
-DECISION_NAMES = ("push", "grasp", "removal")
-"""Names of the kinds, by number."""
+from mechsearch.types import (
+    DECISION_NAMES,
+    DECISION_SIZE,
+    GRASP,
+    PUSH,
+    REMOVE,
+    Array,
+    Floats,
+    MechSearchError,
+)
 
 STEEPEST = float(np.cos(np.deg2rad(60.0)))
 """Least upward part of a grasp's z axis: grippers come from above, tilted by at most 60 degrees."""

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from mechsearch.env.decision import DECISION_NAMES, STEEPEST, Decision, DecisionSpace
+from mechsearch.env.decision import STEEPEST, Decision, DecisionSpace
 from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
@@ -20,6 +20,7 @@ from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
 from mechsearch.types import (
     BUDGET_KEYS,
+    DECISION_NAMES,
     GRASP,
     GRASP_KEYS,
     OCCLUSION_KEY,

@@ -20,6 +20,7 @@ from scipy import stats
 
 from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_text, write_whole
 from mechsearch.types import (
+    DECISION_NAMES,
     DECISION_SIZE,
     GRASP,
     PUSH,
@@ -397,8 +398,8 @@ def in_words(record: EpisodeRecord) -> str:
     pairs = zip(record.actions[:, 0].tolist(), record.retrieval.outcomes, strict=True)
     tried = [(k, outcome) for k, outcome in pairs if outcome != USED_UP]
     words = []
-    for kind, name in ((PUSH, "push"), (REMOVE, "removal"), (GRASP, "grasp")):
-        outcomes = [outcome for k, outcome in tried if k == kind]
+    for kind in (PUSH, REMOVE, GRASP):
+        name, outcomes = DECISION_NAMES[kind], [outcome for k, outcome in tried if k == kind]
         if outcomes:
             several = "pushes" if kind == PUSH else f"{name}s"
             number = f"{len(outcomes)} {name if len(outcomes) == 1 else several}"

@@ -13,10 +13,7 @@ import numpy as np
 from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import AnyGripper, gripper_named, open_parts
-from mechsearch.types import PUSH, USED_UP, Floats
-
-KINDS = ("push", "grasp", "removal")
-"""What decisions are called, by number."""
+from mechsearch.types import DECISION_NAMES, PUSH, USED_UP, Floats
 
 PHASES = {"close": 1, "lift": 2, "descend": 2}
 """Phases of a grasp whose ends a filmstrip shows where it has the room, and from which detail."""
@@ -82,7 +79,7 @@ class Hands:
         """Return what an action is called, such as "grasp 2", with the gripper if there are two."""
         kinds = record.actions[:, 0].astype(int)
         kind, gripper = int(kinds[step]), int(record.actions[step, 1])
-        title = f"{KINDS[kind]} {int((kinds[: step + 1] == kind).sum())}"
+        title = f"{DECISION_NAMES[kind]} {int((kinds[: step + 1] == kind).sum())}"
         return title if kind == PUSH or len(self.names) == 1 else f"{title}, {self.names[gripper]}"
 
 
@@ -104,9 +101,9 @@ def recorded(
     hands = Hands(header)
     moments = [first_moment(record)]
     for step, action in enumerate(record.actions):
-        if outcome_of(record, step) not in ("", USED_UP):
+        if came_to(record, step) not in ("", USED_UP):
             parts = hands.open_at(int(action[1]), np.asarray(action[2:], np.float64))
-            words = f"{hands.title(record, step)}: {outcome_of(record, step)}{_end(record, step)}"
+            words = f"{hands.title(record, step)}: {came_to(record, step)}{_end(record, step)}"
             moments.append(Moment(step, record.poses[step], words, parts))
         if is_shown_after(record, step):
             moments.append(moment_after(record, step, hands))
@@ -121,7 +118,7 @@ def first_moment(record: EpisodeRecord) -> Moment:
 def moment_after(record: EpisodeRecord, step: int, hands: Hands) -> Moment:
     """Return the moment at which an action is over."""
     hidden = f"{record.occlusions[step + 1]:.0%} hidden"
-    said = "none left" if outcome_of(record, step) == USED_UP else hidden
+    said = "none left" if came_to(record, step) == USED_UP else hidden
     words = f"{hands.title(record, step)}: {said}{_end(record, step)}"
     # Of pushes in a row a filmstrip shows the last.
     kinds = record.actions[step : step + 2, 0].tolist()
@@ -134,7 +131,7 @@ def is_shown_after(record: EpisodeRecord, step: int) -> bool:
     return step + 1 < len(record.actions) or record.end != IN_HAND
 
 
-def outcome_of(record: EpisodeRecord, step: int) -> str:
+def came_to(record: EpisodeRecord, step: int) -> str:
     """Return what an action of retrieval came to; see `RetrieveEnv`."""
     assert record.retrieval is not None
     return record.retrieval.outcomes[step]

@@ -17,10 +17,10 @@ from mechsearch.pictures.moments import (
     PHASES,
     Hands,
     Moment,
+    came_to,
     first_moment,
     is_shown_after,
     moment_after,
-    outcome_of,
     recorded,
 )
 from mechsearch.sim.lift import LiftFrame
@@ -49,7 +49,7 @@ def replayed(
         film = env.film = []
         info = env.step(action)[4]
         there = np.abs(env.state.poses - record.poses[step + 1])[:, :3].max()
-        if info["outcome"] != outcome_of(record, step) or (not info["failure"] and there > _SAME):
+        if info["outcome"] != came_to(record, step) or (not info["failure"] and there > _SAME):
             return recorded(header, record, models)
         moments += _grasp(record, step, film, hands)
         if is_shown_after(record, step):
@@ -89,7 +89,7 @@ def _grasp(
                 continue
             words = _SAID.get(phase, phase)
             if is_judged and is_last:
-                words = outcome_of(record, step) + (f", {record.end}" if ends else "")
+                words = came_to(record, step) + (f", {record.end}" if ends else "")
             detail = PHASES.get(phase, FILMS_ALONE) if is_last else FILMS_ALONE
             parts = hands.parts(number, frame.gripper)
             shown = 0 if is_judged and is_last else detail
