@@ -23,7 +23,13 @@ from mechsearch.cli.command import (
     wrote,
 )
 from mechsearch.cli.grasp_learning import JudgingCommand, say_best, say_comparison
-from mechsearch.evaluation.episodes import CEILING_METRICS, Estimate, merge_summary
+from mechsearch.evaluation.episodes import (
+    CEILING_METRICS,
+    Estimate,
+    mean_interval,
+    merge_summary,
+    share_interval,
+)
 from mechsearch.files import check_place, write_json
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.grasp.learning.quality_training import (
@@ -282,19 +288,23 @@ class FindCeiling(GripperTargets):
 
 
 def _gain(lifts: Sequence[TargetLifts], perturbed: bool) -> dict[str, Any]:
-    """Return the share of targets lifted by both grasps, and the gain, each with its interval."""
+    """Return the shares of targets that both grasps lift, and the gain, paired over heaps."""
 
     def lifted(result: LiftResult | None) -> float:
         if result is None:
             return 0.0
         return result.probability if perturbed else float(result.planned is Outcome.SUCCESS)
 
-    chosen = np.array([[lifted(each.chosen) for each in lifts]])
-    drawn = np.array([[lifted(each.drawn) for each in lifts]])
+    chosen, drawn = (
+        [lifted(way) for way in ways]
+        for ways in zip(*((each.chosen, each.drawn) for each in lifts), strict=True)
+    )
+    interval = mean_interval if perturbed else share_interval
+    pair = [np.array([chosen]), np.array([drawn])]
     return {
-        "chosen": asdict(estimated([chosen])),
-        "drawn": asdict(estimated([drawn])),
-        "gain": asdict(estimated([chosen, drawn], lambda means: means[0] - means[1])),
+        "chosen": asdict(interval(chosen)),
+        "drawn": asdict(interval(drawn)),
+        "gain": asdict(estimated(pair, lambda means: means[0] - means[1])),
     }
 
 
