@@ -9,7 +9,7 @@ from mechsearch.grasp.quality_network import QualityNetwork, ready, save_quality
 from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.lifting import (
-    STATES,
+    LIFT_STATES,
     CeilingConfig,
     LiftPlan,
     Reach,
@@ -51,7 +51,7 @@ def lifted(heaps, networks):
 
 def test_both_grasps_of_a_target_are_tried_in_every_state(heaps, lifted):
     _, found = lifted
-    assert {lifts.state for lifts in found} == set(STATES)
+    assert {lifts.state for lifts in found} == set(LIFT_STATES)
     assert sum(lifts.state == "dropped" for lifts in found) == len(heaps)
     for lifts in found:
         heap = next(heap for heap in heaps if heap.seed == lifts.heap)

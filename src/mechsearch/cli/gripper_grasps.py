@@ -44,7 +44,7 @@ from mechsearch.pictures.canvas import tiled
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.assessment import LiftResult
 from mechsearch.retrieval.lifting import (
-    STATES,
+    LIFT_STATES,
     CeilingConfig,
     LiftPlan,
     Robot,
@@ -102,7 +102,7 @@ class LiftChosen(GripperTargets):
 
     gripper: str
     network: Path | None = None
-    states: tuple[str, ...] = STATES
+    states: tuple[str, ...] = LIFT_STATES
     repeats: int = 0
     out: Path | None = None
     table: Path | None = None

@@ -33,7 +33,7 @@ from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
 from mechsearch.types import Array, Floats, MechSearchError
 
-STATES = ("dropped", "pushed", "alone")
+LIFT_STATES = ("dropped", "pushed", "alone")
 """In which a target is grasped: see `states.KINDS`."""
 
 
@@ -74,7 +74,7 @@ class TargetLifts:
 
     Attributes:
         heap: Seed of the heap.
-        state: One of `STATES`.
+        state: One of `LIFT_STATES`.
         present: Which of the heap's objects are there (n,), indices; the target is one of them.
         poses: Of theirs (n, 7).
         grasp: The best-rated one (7,), or None where there is none.
@@ -100,7 +100,7 @@ class LiftPlan:
     Attributes:
         objects: Object set, as given to `load_object_set`.
         robot: With one gripper.
-        states: In which of `STATES`.
+        states: In which of `LIFT_STATES`.
         repeats: Executions of each grasp with errors of place, direction and friction, beside the
             exact one.
         seed: Of pushes, proposals and perturbations.
@@ -108,16 +108,16 @@ class LiftPlan:
 
     objects: str
     robot: Robot
-    states: tuple[str, ...] = STATES
+    states: tuple[str, ...] = LIFT_STATES
     repeats: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        unknown = set(self.states) - set(STATES)
+        unknown = set(self.states) - set(LIFT_STATES)
         if unknown or not self.states:
             raise MechSearchError(
                 f"unknown states {', '.join(sorted(unknown)) or 'none'}; choose some of "
-                f"{', '.join(STATES)}"
+                f"{', '.join(LIFT_STATES)}"
             )
         if self.repeats < 0:
             raise MechSearchError(f"{self.repeats} repeats; expected 0 or more")
@@ -258,7 +258,7 @@ class _Scene:
 def _scenes(
     heap: Heap, objects: str, robot: Robot, kinds: Sequence[str], seed: int
 ) -> Iterator[_Scene]:
-    """Yield a heap's target in some of `STATES`, if it came to rest there."""
+    """Yield a heap's target in some of `LIFT_STATES`, if it came to rest there."""
     models = _models(heap, objects)
     renderer = grasp_renderer(models)
     rng = np.random.default_rng([seed, heap.seed])

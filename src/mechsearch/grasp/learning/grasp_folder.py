@@ -137,7 +137,7 @@ class GraspFolder:
             self.add(name, kind.concatenated(grasps))
 
 
-def load_folder(path: Path, kind: type[Labelled]) -> Labelled:
+def load_labelled(path: Path, kind: type[Labelled]) -> Labelled:
     """Return all grasps of a folder.
 
     Raises:

@@ -23,7 +23,7 @@ from mechsearch.grasp.learning.grasp_folder import (
     OUTCOMES,
     GraspFolder,
     LabelledGrasps,
-    load_folder,
+    load_labelled,
     read_manifest,
     sha256,
 )
@@ -178,8 +178,8 @@ def label_trials(
 
 
 def load_trials(path: Path) -> Trials:
-    """Return all grasps of a folder; see `load_folder`."""
-    return load_folder(path, Trials)
+    """Return all grasps of a folder; see `load_labelled`."""
+    return load_labelled(path, Trials)
 
 
 def load_rounds(gripper: str, paths: Sequence[Path]) -> Trials:
@@ -191,7 +191,7 @@ def load_rounds(gripper: str, paths: Sequence[Path]) -> Trials:
 
     Raises:
         MechSearchError: If there is no such gripper, a folder is of another one or none is named,
-            or as `load_folder`.
+            or as `load_labelled`.
     """
     gripper_named(gripper)
     if not paths:
