@@ -11,8 +11,8 @@ from benchmarks.results import Figure
 from benchmarks.settings import Settings
 from mechsearch.grasp.grasp_view import view_of_heap
 from mechsearch.grasp.graspability import rate
-from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.grasp.network import load_network
+from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.sim.lift import LiftWorld
 
 

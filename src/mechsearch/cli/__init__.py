@@ -34,10 +34,20 @@ COMMANDS = {
     "grasp train": ("grasp_learning:TrainGrasps", "train a grasp network, or go on"),
     "grasp test": ("grasp_learning:TestGrasps", "judge grasp networks on labelled grasps"),
     "grasp calibrate": ("grasp_learning:CalibrateGrasps", "hold scores against lift success"),
+    "grasp ceiling": ("gripper_grasps:FindCeiling", "which targets can grippers lift at all?"),
     "report": ("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": ("demo:Demo", "the whole way: heaps, training, scores, report"),
 }
 """Where every command is, by its words, and what it does."""
+
+GRIPPER_COMMANDS = {
+    "grasp lift": "gripper_grasps:LiftChosen",
+    "grasp label": "gripper_grasps:LabelTrials",
+    "grasp train": "gripper_grasps:TrainQuality",
+    "grasp test": "gripper_grasps:TestQuality",
+}
+"""Where those commands are that, with `--gripper`, are about the networks of that gripper; without
+it, about the paper's graspability."""
 
 LEARNING_COMMANDS = {
     name for name in COMMANDS if name.split()[0] in ("train", "sweep", "pack", "grasp", "demo")
@@ -91,7 +101,9 @@ def _dispatch(words: list[str]) -> None:
 def _call(name: str, words: list[str]) -> None:
     if name in LEARNING_COMMANDS and importlib.util.find_spec("torch") is None:
         raise MechSearchError(f"`mechsearch {name}` needs PyTorch: install mechsearch[learn]")
-    module, _, command = COMMANDS[name][0].partition(":")
+    of_gripper = any(word.partition("=")[0] == "--gripper" for word in words)
+    place = GRIPPER_COMMANDS.get(name) if of_gripper else None
+    module, _, command = (place or COMMANDS[name][0]).partition(":")
     # Users' own policies are looked for where they stand, after everything that is installed.
     sys.path.append(str(Path.cwd()))
     kind = getattr(importlib.import_module(f"mechsearch.cli.{module}"), command)
@@ -106,4 +118,6 @@ def usage(commands: Mapping[str, tuple[str, str]]) -> str:
     tail = (
         "`mechsearch COMMAND --help` tells a command's options, `mechsearch --version` the version."
     )
+    if two_ways := ", ".join(name for name in GRIPPER_COMMANDS if name in commands):
+        tail += f"\nWith `--gripper NAME`, {two_ways} use that gripper's networks."
     return "\n".join([head, "", *lines, "", tail])

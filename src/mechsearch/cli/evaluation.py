@@ -11,7 +11,7 @@ import tyro
 
 from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
-from mechsearch.env.task import RetrieveConfig, TaskConfig
+from mechsearch.env.task import RetrievalTask, TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
@@ -148,7 +148,7 @@ class Evaluate(OfObjects, Spread):
         changed: TaskConfig = overridden(task, self.task)
         if not self.perturbed:
             return changed
-        if not isinstance(changed, RetrieveConfig):
+        if not isinstance(changed, RetrievalTask):
             raise MechSearchError("--perturbed is for policies that retrieve")
         return replace(changed, perturbed=True)
 

@@ -1,6 +1,6 @@
 """`mechsearch grasp label`, `train`, `test` and `calibrate`; all need PyTorch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -22,6 +22,7 @@ from mechsearch.cli.command import (
 )
 from mechsearch.files import write_json, write_text
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps
+from mechsearch.grasp.learning.metrics import NetworkComparison
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,
     GraspTrainConfig,
@@ -39,6 +40,7 @@ class LabelGrasps(OfObjects, Parallel):
     """Try grasps on every visible object of every heap, and record what became of them.
 
     No network proposes them. A folder that was cut off is continued.
+    With `--gripper NAME`, of any gripper: `--gripper NAME --help` tells its options.
 
     Attributes:
         heaps: Heap set (.parquet).
@@ -66,6 +68,8 @@ class LabelGrasps(OfObjects, Parallel):
 class TrainGrasps(Command):
     """Train a grasp network on labelled grasps, from scratch, or go on with a training.
 
+    With `--gripper NAME`, of any gripper: `--gripper NAME --help` tells its options.
+
     Attributes:
         labels: Folder that `mechsearch grasp label` wrote.
         out: Folder for checkpoint and network; one that was cut off is continued.
@@ -81,13 +85,7 @@ class TrainGrasps(Command):
         grasps = load_grasps(self.labels)
         with bars() as progress:
             history = train_grasp_network(grasps, self.config, self.out, progress)
-        best = max(range(len(history)), key=lambda i: history[i]["average_precision"])
-        row = history[best]
-        say(
-            f"best epoch {best + 1} of {len(history)}: average precision "
-            f"{row['average_precision']:.3f} (base rate {row['base_rate']:.3f}), AUC "
-            f"{row['auc']:.3f}, Brier score {row['brier']:.3f} on validation heaps"
-        )
+        say_best(history)
         wrote(self.out / NETWORK_FILE)
 
 
@@ -117,6 +115,8 @@ class JudgingCommand(Command):
 class TestGrasps(JudgingCommand):
     """Judge grasp networks on labelled grasps that they have not learnt from.
 
+    With `--gripper NAME`, of any gripper: `--gripper NAME --help` tells its options.
+
     Attributes:
         networks: Grasp networks (.safetensors, or the released weights .npz) beside the shipped
             one.
@@ -133,16 +133,7 @@ class TestGrasps(JudgingCommand):
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
         found = compare_networks(grasps, named)
-        rate = f"base rate {grasps.success.mean():.3f}"
-        columns = ("network", "AP", "AUC", "Brier", "calibration error")
-        numbers = attrgetter("average_precision", "auc", "brier", "calibration_error")
-        rows = [(k, *map("{:.3f}".format, numbers(v))) for k, v in found.networks.items()]
-        say_table(f"{len(grasps)} grasps in {found.heaps} heaps, {rate}", columns, rows)
-        for name, gain in found.gain_over.items():
-            say(
-                f"AP of the shipped network above that of {name}: {gain.mean:+.3f} "
-                f"(95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
-            )
+        say_comparison(found, f"{len(grasps)} grasps")
         self.write(asdict(found), {k: np.array(v.curve) for k, v in found.networks.items()})
 
 
@@ -188,3 +179,29 @@ class CalibrateGrasps(JudgingCommand, OfEpisodes):
         )
         curves = {"quality as rated": found.rated, "chance as fitted": found.curve}
         self.write(found.to_json(), curves)
+
+
+def say_best(history: Sequence[Mapping[str, float]]) -> None:
+    """Say how good the best epoch of a training is."""
+    best = max(range(len(history)), key=lambda i: history[i]["average_precision"])
+    row = history[best]
+    say(
+        f"best epoch {best + 1} of {len(history)}: average precision "
+        f"{row['average_precision']:.3f} (base rate {row['base_rate']:.3f}), AUC "
+        f"{row['auc']:.3f}, Brier score {row['brier']:.3f} on validation heaps"
+    )
+
+
+def say_comparison(found: NetworkComparison, grasps: str) -> None:
+    """Print the scores of networks, and by how much the first is above each other one."""
+    first, *_ = found.networks
+    rate = f"base rate {found.networks[first].base_rate:.3f}"
+    columns = ("network", "AP", "AUC", "Brier", "calibration error")
+    numbers = attrgetter("average_precision", "auc", "brier", "calibration_error")
+    rows = [(k, *map("{:.3f}".format, numbers(v))) for k, v in found.networks.items()]
+    say_table(f"{grasps} in {found.heaps} heaps, {rate}", columns, rows)
+    for name, gain in found.gain_over.items():
+        say(
+            f"AP of {'the shipped network' if first == 'shipped' else first} above that of {name}: "
+            f"{gain.mean:+.3f} (95 % interval over heaps {gain.low:+.3f} to {gain.high:+.3f})"
+        )

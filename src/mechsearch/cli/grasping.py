@@ -118,6 +118,8 @@ class ScoreGrasps(GraspTargets):
 class LiftGrasps(GraspTargets, Parallel):
     """Lift each target with the grasp that a network finds best, in simulation.
 
+    With `--gripper NAME`, of any gripper: `--gripper NAME --help` tells its options.
+
     Attributes:
         heaps: Heap set (.parquet).
         out: Picture (.png) to write: a strip of frames for each heap.

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, Self
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 import tyro
 
@@ -17,9 +17,11 @@ from mechsearch.training.config import PRESETS, load_config, run_config
 from mechsearch.training.run import RunInputs, crossings, train
 from mechsearch.types import MechSearchError
 
+T = TypeVar("T", bound=TaskConfig)
+
 
 @dataclass(frozen=True)
-class Train(Command, Generic[A]):
+class Train(Command, Generic[A, T]):
     """Learn on the training half of a heap set, and write a run directory.
 
     Attributes:
@@ -39,7 +41,7 @@ class Train(Command, Generic[A]):
     name: str
     seed: int
     schedule: Annotated[Schedule, FLAT]
-    task: Annotated[TaskConfig, FLAT]
+    task: Annotated[T, FLAT]
     algorithm: Annotated[A, FLAT]
     objects: str = ""
     resume: tyro.conf.Suppress[bool] = False
@@ -68,13 +70,14 @@ class Train(Command, Generic[A]):
 
     @classmethod
     def _of(cls, c: RunConfig[Any], heaps: Any, out: Any, *others: Any) -> Self:
-        return cls(heaps, out, c.name, c.seed, c.schedule, c.task, c.algorithm, *others)
+        task: Any = c.task
+        return cls(heaps, out, c.name, c.seed, c.schedule, task, c.algorithm, *others)
 
     @classmethod
     def _parsed(cls, default: Self, program: str, words: Sequence[str]) -> Self:
         """Return options, those of the default's own algorithm among them."""
         generic: Any = Train
-        kind = generic[type(default.algorithm)]
+        kind = generic[type(default.algorithm), type(default.task)]
         options: Self = tyro.cli(kind, prog=program, args=list(words), default=default)
         return options
 

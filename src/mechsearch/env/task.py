@@ -125,13 +125,12 @@ class RetrievalReward:
 
 
 @dataclass(frozen=True)
-class RetrieveConfig(HeapEnvConfig):
-    """The task of retrieval, and what an environment shows of it.
+class RetrievalTask(TaskConfig):
+    """The task of retrieval: the target in the hand.
 
     `uncovered_at` and `reward` are about pushing alone and mean nothing here.
 
     Attributes:
-        keys: Observation keys; see `types`.
         grippers: Names of the robot's grippers; the first one, closed, pushes.
         max_grasps: Grasps of the target in an episode.
         max_removals: Removals of other objects in an episode.
@@ -140,7 +139,6 @@ class RetrieveConfig(HeapEnvConfig):
         retrieval: Weights of the reward.
     """
 
-    keys: tuple[str, ...] = RETRIEVAL_KEYS
     grippers: tuple[str, ...] = ("jaws-85",)
     max_grasps: int = 8
     max_removals: int = 8
@@ -165,6 +163,13 @@ class RetrieveConfig(HeapEnvConfig):
             )
 
 
+@dataclass(frozen=True)
+class RetrieveConfig(HeapEnvConfig, RetrievalTask):
+    """The task of retrieval, and what an environment shows of it; see `HeapEnvConfig`."""
+
+    keys: tuple[str, ...] = RETRIEVAL_KEYS
+
+
 Task = TypeVar("Task", bound=TaskConfig)
 
 
@@ -172,7 +177,7 @@ def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
     """Return the task that `dataclasses.asdict` and JSON made, of this or an earlier version.
 
     Args:
-        kind: `TaskConfig`, `HeapEnvConfig` or `RetrieveConfig`.
+        kind: A task, or a task with what an environment shows of it.
         data: Values by field.
 
     Raises:

@@ -1,8 +1,8 @@
 """Carries out what is proposed action by action, such as a push, and records what it came to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Rollout:
         clutter_moved: Sum over the actions of the mean non-target displacement [m].
         end: How the episode ended with it, "given up", or None.
         occlusion: Of the target afterwards.
+        info: Of the last action.
     """
 
     obs: Observation
@@ -36,6 +37,7 @@ class Rollout:
     clutter_moved: float = 0.0
     end: str | None = None
     occlusion: float = 1.0
+    info: Mapping[str, Any] = field(default_factory=dict)
 
 
 def roll_out(
@@ -56,6 +58,7 @@ def roll_out(
     while rollout.end is None and (action := propose(rollout.obs)) is not None:
         rollout.obs, reward, _, _, info = env.step(action)
         rollout.actions.append(action)
+        rollout.info = info
         rollout.reward += reward
         for name, value in info["reward_terms"].items():
             rollout.terms[name] = rollout.terms.get(name, 0.0) + value

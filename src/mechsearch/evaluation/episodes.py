@@ -58,7 +58,11 @@ RETRIEVAL_METRICS = (
 )
 """The scores of an evaluation of retrieval, in place of `METRICS`."""
 
-SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after", *ATTEMPTS)
+CEILING_METRICS = (*ATTEMPTS, "retrievable")
+"""Scores of targets whose grasps are tried once all clutter is gone: after so many of the best
+ones, and whether any grasp at all retrieves it."""
+
+SHARES = ("uncovered_rate", "retrieval_before", "retrieval_after", *CEILING_METRICS)
 """Scores that are 1 or 0 in one episode."""
 
 _LOWER_IS_BETTER = (
@@ -66,7 +70,8 @@ _LOWER_IS_BETTER = (
     *("grasp_attempts", "push_actions", "removals", "wrong_objects"),
 )
 HIGHER_IS_BETTER = {
-    name: name not in _LOWER_IS_BETTER for name in (*METRICS, *GRASP_METRICS, *RETRIEVAL_METRICS)
+    name: name not in _LOWER_IS_BETTER
+    for name in (*METRICS, *GRASP_METRICS, *RETRIEVAL_METRICS, *CEILING_METRICS)
 }
 
 IN_HAND = "retrieved"
@@ -476,7 +481,7 @@ class SummaryRow:
         variant: Such as "method", "ddpg", "teacher-straight", "random".
         seed: Training seed, or evaluation seed where nothing was trained.
         actions: Training actions behind the policy; 0 where nothing was trained.
-        metric: Name in `METRICS`, `GRASP_METRICS` or `RETRIEVAL_METRICS`.
+        metric: Name in `METRICS`, `GRASP_METRICS`, `RETRIEVAL_METRICS` or `CEILING_METRICS`.
         mean: Over the held-out heaps.
         ci_low: Lower end of the 95 % interval over heaps.
         ci_high: Upper end.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.task import RetrieveConfig, TaskConfig, task_from_json
+from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.env.trial import Rollout, imageless, roll_out
 from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag
@@ -260,7 +260,7 @@ def goal_of(policy: Policy) -> str:
 def task_of(policy: Policy, run: Mapping[str, Any], camera: str) -> TaskConfig:
     """Return the task that a policy is evaluated in where no other is asked for.
 
-    It is a `RetrieveConfig` of a policy that retrieves.
+    It is a `RetrievalTask` of a policy that retrieves.
 
     Args:
         policy: Who acts.
@@ -270,7 +270,7 @@ def task_of(policy: Policy, run: Mapping[str, Any], camera: str) -> TaskConfig:
     Raises:
         MechSearchError: If the configuration is no good.
     """
-    kind = RetrieveConfig if goal_of(policy) == RETRIEVE else TaskConfig
+    kind = RetrievalTask if goal_of(policy) == RETRIEVE else TaskConfig
     if "task" in run:
         return task_from_json(kind, run["task"])
     flat = {name: run[name] for name in _VIEW if name in run}

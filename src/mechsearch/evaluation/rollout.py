@@ -14,7 +14,13 @@ import numpy as np
 
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.task import HeapEnvConfig, RetrieveConfig, TaskConfig, task_from_json
+from mechsearch.env.task import (
+    HeapEnvConfig,
+    RetrievalTask,
+    RetrieveConfig,
+    TaskConfig,
+    task_from_json,
+)
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
@@ -32,7 +38,7 @@ from mechsearch.evaluation.policies import (
     task_of,
 )
 from mechsearch.files import differing_fields, fingerprint
-from mechsearch.heaps.dataset import HeapSet, embedded_file, evenly_spread, open_heaps
+from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim.world import ENGINE_VERSION
@@ -381,7 +387,7 @@ class _Rollouts:
     def task(self) -> TaskConfig:
         task = self._for_goal(self.plan.task) if self.plan.task else self.own_task
         check_view(self.policy, self.plan.run, task, self.plan.title)
-        if isinstance(task, RetrieveConfig) and isinstance(self.policy, Equipped):
+        if isinstance(task, RetrievalTask) and isinstance(self.policy, Equipped):
             self.policy.equip(task.grippers)
         return task
 
@@ -400,9 +406,7 @@ class _Rollouts:
 
     @cached_property
     def env(self) -> AnyEnv:
-        kind = RetrieveConfig if isinstance(self.task, RetrieveConfig) else HeapEnvConfig
-        config = kind.of_task(self.task, self.policy.keys)
-        return _environment(self.heap_set, self.opened[1], config)
+        return make_environment(self.heap_set.heaps, self.opened[1], self.task, self.policy.keys)
 
     @property
     def header(self) -> dict[str, Any]:
@@ -435,10 +439,26 @@ class _Rollouts:
         return plain
 
 
-def _environment(heap_set: HeapSet, objects: ObjectSet, config: HeapEnvConfig) -> AnyEnv:
-    if isinstance(config, RetrieveConfig):
-        return RetrieveEnv(heap_set.heaps, objects, config)
-    return HeapEnv(heap_set.heaps, objects, config)
+def make_environment(
+    heaps: Sequence[Heap],
+    objects: ObjectSet,
+    task: TaskConfig,
+    keys: Sequence[str],
+    privileged: bool = False,
+) -> AnyEnv:
+    """Return the environment of a task: a `RetrieveEnv` of a `RetrievalTask`, else a `HeapEnv`.
+
+    Args:
+        heaps: Start states.
+        objects: The set that their names refer to.
+        task: The task.
+        keys: Observation keys.
+        privileged: Whether to add the keys that critic and teachers read.
+    """
+    if isinstance(task, RetrievalTask):
+        config = RetrieveConfig.of_task(task, keys, privileged)
+        return RetrieveEnv(heaps, objects, config)
+    return HeapEnv(heaps, objects, HeapEnvConfig.of_task(task, keys, privileged))
 
 
 @dataclass(frozen=True)
@@ -554,7 +574,8 @@ class _Play:
 
     @cached_property
     def _env(self) -> AnyEnv:
-        return _environment(*open_heaps(self.heaps, self.objects), self.config)
+        heap_set, objects = open_heaps(self.heaps, self.objects)
+        return make_environment(heap_set.heaps, objects, self.config, self.config.keys)
 
 
 class _Recorded:

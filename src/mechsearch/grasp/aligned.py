@@ -10,7 +10,7 @@ from mechsearch.grasp.height_map import HeightMap
 from mechsearch.sim.gripper import Gripper, SuctionCup
 from mechsearch.types import Floats
 
-NUMBERS = 6
+GRASP_NUMBERS = 6
 """How many numbers a grasp has beside its patch."""
 
 

@@ -13,7 +13,7 @@ from scipy.ndimage import minimum_filter
 from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.types import Array, Floats, MechSearchError
 
-CELL = 0.002
+_CELL = 0.002
 """Side of a cell [m]; the fixed camera's pixels are 1.4 mm apart on the table."""
 
 _MARGIN = 0.12
@@ -42,7 +42,7 @@ class HeightMap:
     height: NDArray[np.float32]
     target: NDArray[np.bool_]
     corner: Floats
-    cell: float = CELL
+    cell: float = _CELL
 
     def cells(self, x: Array, y: Array) -> NDArray[np.intp]:
         """Return the flat index of the cell that each place (...,) [m] is in.
@@ -89,9 +89,9 @@ def height_map(view: GraspView) -> HeightMap:
     own = [axis[mask] for axis in world[:2]]
     corner = np.array([axis.min() - _MARGIN for axis in own], np.float64)
     shape = [
-        int((axis.max() + _MARGIN - low) / CELL) + 2 for axis, low in zip(own, corner, strict=True)
+        int((axis.max() + _MARGIN - low) / _CELL) + 2 for axis, low in zip(own, corner, strict=True)
     ]
-    i, j = (np.rint((axis - low) / CELL).astype(np.int32)
+    i, j = (np.rint((axis - low) / _CELL).astype(np.int32)
             for axis, low in zip(world[:2], corner, strict=True))  # fmt: skip
     inside = (i > 0) & (j > 0) & (i < shape[0] - 1) & (j < shape[1] - 1)
     # Height and target in one number, so that the highest point brings along whose it is.

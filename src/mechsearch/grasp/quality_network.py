@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
-from mechsearch.grasp.aligned import NUMBERS, Aligned, PatchGrid, grid_of
+from mechsearch.grasp.aligned import GRASP_NUMBERS, Aligned, PatchGrid, grid_of
 from mechsearch.sim.gripper import gripper_named
 from mechsearch.types import Array, Floats, MechSearchError
 
@@ -45,7 +45,7 @@ class QualityNetwork(nn.Module):
         self.conv3 = nn.Conv2d(48, 64, 3, padding=1)
         self.conv4 = nn.Conv2d(64, 64, 3, stride=2, padding=1)
         cells = (self.grid.rows // 8) * (self.grid.columns // 8)
-        self.full1 = nn.Linear(64 * cells + NUMBERS, 128)
+        self.full1 = nn.Linear(64 * cells + GRASP_NUMBERS, 128)
         self.full2 = nn.Linear(128, 64)
         self.full3 = nn.Linear(64, 1)
         for name, weight in self.named_parameters():

@@ -11,7 +11,7 @@ from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures import canvas
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.gripper import Gripper
+from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.lift import LiftFrame
 from mechsearch.types import Floats, MechSearchError
 
@@ -81,7 +81,7 @@ def _colour(quality: float) -> tuple[int, int, int]:
 def lift_strip(
     frames: Sequence[LiftFrame],
     models: Sequence[ObjectModel],
-    gripper: Gripper,
+    gripper: AnyGripper,
     target: int,
     caption: str,
     count: int = 8,
@@ -120,8 +120,11 @@ def lift_strip(
 
 
 def _across(parts: Floats) -> Floats:
-    """Return the horizontal direction (3,) across the closing direction, towards -y."""
-    closing = parts[1, :3] - parts[2, :3]
+    """Return the horizontal direction (3,) across the line between two fingers, towards -y.
+
+    A gripper without two fingers is seen from -y.
+    """
+    closing = parts[1, :3] - parts[-1, :3]
     across = np.array([closing[1], -closing[0], 0.0])
     length = float(np.linalg.norm(across))
     if length < 1e-6:

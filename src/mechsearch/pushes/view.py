@@ -105,6 +105,7 @@ class PlannedPush:
     """One push, where the target was seen before it begins.
 
     Attributes:
+        path: Its waypoints (N, 2) [m].
         start: Where the push begins (3,) [m].
         approach: Actions that the way to there will take, as planned.
         length: Actions that the push itself will take, as planned.
@@ -126,6 +127,7 @@ class PlannedPush:
         self._target, self._others = sight.centre, sight.obstacles
         self._route = Route(replace(_SEEN, clearance=push.height))
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
+        self.path = self._route.push[:, :2].copy()
         way = np.vstack([sight.ee_position, self._route.waypoints])
         first = len(way) - len(self._route.push)
         self.start = way[first]

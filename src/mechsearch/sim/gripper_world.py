@@ -27,6 +27,7 @@ from mechsearch.sim.lift import (
     LiftTest,
     Outcome,
     above_table,
+    has_stalled,
     start_height,
     touching,
 )
@@ -37,6 +38,9 @@ from mechsearch.types import Array, Floats, MechSearchError
 
 _PARKED = np.array([0.0, 0.0, 5.0])
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+_SQUEEZE = 0.08
+"""Time for which the jaws squeeze what has stopped them before they lift it [s]."""
 
 _RISE_SPEED = 0.25
 """At which a gripper leaves a heap upwards [m/s]."""
@@ -359,7 +363,7 @@ class _JawRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, gripper)
         self.gripper = gripper
-        self.config = replace(self.config, closing=gripper.closing)
+        self.config = replace(self.config, closing=gripper.closing, stalling=_SQUEEZE)
         model, names = self._model, (f"finger{index}left", f"finger{index}right")
         self._fingers = [model.geom(name).id for name in names]
         self._finger_bodies = [model.body(name).id for name in names]
@@ -377,6 +381,11 @@ class _JawRig(_Rig):
         if closed is not None:
             self._data.ctrl[self._finger_servos] = closed
         self.move(height)
+
+    def stalled(self, travel: float) -> bool:
+        """Return whether the fingers stand still short of the travel that they are told [m]."""
+        data = self._data
+        return has_stalled(travel, data.qpos[self._finger_joints], data.qvel[self._finger_speeds])
 
     def touched(self, finger: int) -> set[int]:
         """Return the objects that touch one finger."""

@@ -24,6 +24,9 @@ from mechsearch.sim.scene import PhysicsConfig, Workspace, compile_scene, reset_
 from mechsearch.sim.travel import Outlines
 from mechsearch.types import Array, Floats, MechSearchError
 
+_SHORT, _STILL = 0.005, 0.004
+"""Fingers so far from where they are told to be [m], and slower than this [m/s], have stalled."""
+
 
 class Outcome(StrEnum):
     """What became of one grasp."""
@@ -49,6 +52,8 @@ class LiftConfig:
         headroom: Between the fingers and what they may meet first, at the start [m].
         blocked_by: How far from its goal the descent may end [m].
         closing: Time to close [s].
+        stalling: Time of the full squeeze once the fingers are stopped by something [s]; 0 lets
+            them take the whole time to close.
         height: Of the lift [m].
         lifting: Time to lift [s].
         shake: Amplitude of the shake along the approach [m].
@@ -62,6 +67,7 @@ class LiftConfig:
     headroom: float = 0.005
     blocked_by: float = 0.004
     closing: float = 0.22
+    stalling: float = 0.0
     height: float = 0.2
     lifting: float = 0.5
     shake: float = 0.01
@@ -156,6 +162,10 @@ class LiftWorld:
         if closed is not None:
             self._data.ctrl[1:] = closed
         mujoco.mj_step(self._model, self._data)
+
+    def stalled(self, travel: float) -> bool:
+        """Return whether the fingers stand still short of the travel that they are told [m]."""
+        return has_stalled(travel, self._jaws[1:], self._data.qvel[-2:])
 
     def touched(self, finger: int) -> set[int]:
         """Return the objects that touch one finger."""
@@ -284,6 +294,9 @@ class Rig(Protocol):
     def drive(self, height: float, closed: float | None = None) -> None:
         """Advance one step towards a height and a travel of each finger [m], if it is to change."""
 
+    def stalled(self, travel: float) -> bool:
+        """Return whether the fingers stand still short of the travel that they are told [m]."""
+
     def touched(self, finger: int) -> set[int]:
         """Return the objects that touch one finger."""
 
@@ -353,9 +366,17 @@ class LiftTest:
         return bool(rig.height < config.blocked_by)
 
     def _close(self) -> None:
-        steps = self._config.steps(self._config.closing)
+        config, closed = self._config, self._gripper.closed
+        steps = config.steps(config.closing)
         for step in range(steps):
-            self._step("close", 0.0, self._gripper.closed * min(1.0, 1.25 * (step + 1) / steps))
+            travel = closed * min(1.0, 1.25 * (step + 1) / steps)
+            self._step("close", 0.0, travel)
+            if config.stalling and self._rig.stalled(travel):
+                break
+        else:
+            return
+        for _ in range(config.steps(config.stalling)):
+            self._step("close", 0.0, closed)
 
     def _lift(self) -> bool:
         """Lift; return False as soon as the fingers hold nothing."""
@@ -383,6 +404,12 @@ class LiftTest:
         if self._film is not None and self._clock % 5 == 0:
             poses = self._rig.object_poses()
             self._film.append(LiftFrame(phase, poses, self._rig.gripper_poses()))
+
+
+def has_stalled(travel: float, fingers: Floats, speeds: Floats) -> bool:
+    """Return whether fingers at (2,) [m] stand still, at (2,) [m/s], short of a travel [m]."""
+    short = travel - float(fingers.max()) > _SHORT
+    return short and float(np.abs(speeds).max()) < _STILL
 
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData, geom: int, count: int) -> set[int]:

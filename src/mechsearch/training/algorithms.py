@@ -7,11 +7,13 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.algorithm import Algorithm
 from mechsearch.entry_point import is_entry_point, load_entry_point
 from mechsearch.push_values.algorithm import PushValues
+from mechsearch.retrieval_values.algorithm import RetrievalValues
 from mechsearch.types import MechSearchError
 
 ALGORITHMS: dict[str, type[Any]] = {
     "actor-critic": ActorCritic,
     "push-values": PushValues,
+    "retrieval-values": RetrievalValues,
 }
 
 _NEEDED = ("keys", "teachers", "check", "begin", "save", "load")

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import Evaluator, RunConfig, TrainingSetup
-from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.episodes import EpisodeRecord, mean_interval, score
-from mechsearch.evaluation.rollout import run
+from mechsearch.evaluation.rollout import AnyEnv, make_environment, run
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
@@ -31,7 +30,7 @@ class HeapEvaluator:
         grasped: Returns the change in graspability of an episode's target, where it is measured.
     """
 
-    env: HeapEnv
+    env: AnyEnv
     heaps: tuple[int, ...]
     intervals: bool = False
     grasped: Callable[[EpisodeRecord], float] | None = None
@@ -71,9 +70,10 @@ def assemble(config: RunConfig[Any], heap_set: HeapSet, objects: ObjectSet) -> T
             f"{len(validation)} training heaps, of which {len(validation)} are kept for "
             "validation, leave none to learn on"
         )
-    shown = HeapEnvConfig.of_task(config.task, algorithm.keys)
-    env = HeapEnv(heap_set.heaps, objects, HeapEnvConfig.of_task(config.task, algorithm.keys, True))
-    quiet = HeapEnv(heap_set.heaps, objects, shown)
+    env, quiet = (
+        make_environment(heap_set.heaps, objects, config.task, algorithm.keys, privileged)
+        for privileged in (True, False)
+    )
     evaluators: dict[str, Evaluator] = {}
     if validation:
         evaluators["validation"] = HeapEvaluator(quiet, validation)

@@ -9,15 +9,20 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.algorithm import RunConfig, Schedule
 from mechsearch.entry_point import is_entry_point
-from mechsearch.env.task import TaskConfig, task_from_json
+from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.push_values.algorithm import PushValues
+from mechsearch.retrieval_values.algorithm import RetrievalValues
 from mechsearch.training.algorithms import ALGORITHMS, make_algorithm, name_of
 from mechsearch.types import ACTOR_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
 PURPOSE = "training configuration"
 
 Run = RunConfig[Any]
+
+
+_RETRIEVAL = Schedule(actions=6000, evaluate_every=1000, checkpoint_every=500, validation_heaps=20)
+"""Of `retrieve`, whose actions are dearer: at each decision many others are tried."""
 
 
 def _presets() -> Mapping[str, Run]:
@@ -41,6 +46,9 @@ def _presets() -> Mapping[str, Run]:
         "debug": debug,
     }
     presets: dict[str, Run] = {name: RunConfig(name, made) for name, made in variants.items()}
+    presets["retrieve"] = RunConfig(
+        "retrieve", RetrievalValues(), task=RetrievalTask(), schedule=_RETRIEVAL
+    )
     short = Schedule(actions=120, evaluate_every=60, checkpoint_every=60, validation_heaps=2)
     return presets | {"debug": replace(presets["debug"], schedule=short)}
 
@@ -93,7 +101,7 @@ def config_from_json(found: Mapping[str, Any]) -> Run:
         str(found["name"]),
         record_from_json(kind, options),
         int(found["seed"]),
-        task_from_json(TaskConfig, found["task"]),
+        task_from_json(RetrievalTask if "grippers" in found["task"] else TaskConfig, found["task"]),
         record_from_json(Schedule, found["schedule"]),
     )
 

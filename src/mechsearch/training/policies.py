@@ -5,14 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mechsearch.algorithm import Algorithm
 from mechsearch.env.task import TaskConfig
+from mechsearch.evaluation.policies import goal_of
+from mechsearch.evaluation.rollout import Equipped
 from mechsearch.files import POLICY_FILE
 from mechsearch.files.tensors import Archive, kind_of, load_archive, save_archive
 from mechsearch.training.algorithms import make_algorithm, name_of
-from mechsearch.types import MechSearchError, Observation, Policy
+from mechsearch.types import Array, MechSearchError, Observation, Policy
 
 POLICY_KINDS = {"actor-critic": "mechsearch actor", "push-values": "mechsearch push policy"}
 """What a file says that it is, where that is not the algorithm's own name."""
@@ -41,12 +42,22 @@ class TrainedPolicy:
         """Observation keys that the policy reads."""
         return self.policy.keys
 
+    @property
+    def goal(self) -> str:
+        """What it is after; see `evaluation.policies.goal_of`."""
+        return goal_of(self.policy)
+
+    def equip(self, grippers: tuple[str, ...]) -> None:
+        """Take the names of the robot's grippers, if it retrieves."""
+        if isinstance(self.policy, Equipped):
+            self.policy.equip(grippers)
+
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode."""
         self.policy.reset(rng)
 
-    def act(self, obs: Observation) -> NDArray[np.float32]:
-        """Return the policy's action (3,)."""
+    def act(self, obs: Observation) -> Array:
+        """Return the policy's action (3,), or decision (9,)."""
         return self.policy.act(obs)
 
 

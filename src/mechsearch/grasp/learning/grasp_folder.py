@@ -137,19 +137,13 @@ class GraspFolder:
             self.add(name, kind.concatenated(grasps))
 
 
-def load_folder(path: Path, kind: type[Labelled]) -> Labelled:
+def load_labelled(path: Path, kind: type[Labelled]) -> Labelled:
     """Return all grasps of a folder.
 
     Raises:
         MechSearchError: If there are none or others, or a shard is missing or damaged.
     """
-    file = path / MANIFEST_FILE
-    manifest = read_record(file, _PURPOSE, ("format", "shards"))
-    if manifest["format"] != _FORMAT:
-        raise MechSearchError(
-            f"{file} is of labelled grasps of format {manifest['format']}; this version reads "
-            f"{_FORMAT}"
-        )
+    manifest = read_manifest(path)
     parts = []
     for name, entry in sorted(manifest["shards"].items()):
         shard = path / name
@@ -165,6 +159,22 @@ def load_folder(path: Path, kind: type[Labelled]) -> Labelled:
     if not parts:
         raise MechSearchError(f"{path} holds no grasps yet")
     return kind.concatenated(parts)
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Return what a folder holds, and from what it was made.
+
+    Raises:
+        MechSearchError: If there is no manifest, or it is damaged or of another version.
+    """
+    file = path / MANIFEST_FILE
+    manifest = read_record(file, _PURPOSE, ("format", "shards"))
+    if manifest["format"] != _FORMAT:
+        raise MechSearchError(
+            f"{file} is of labelled grasps of format {manifest['format']}; this version reads "
+            f"{_FORMAT}"
+        )
+    return manifest
 
 
 def sha256(path: Path) -> str:

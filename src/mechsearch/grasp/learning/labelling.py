@@ -21,7 +21,7 @@ from mechsearch.grasp.learning.grasp_folder import (
     OUTCOMES,
     GraspFolder,
     LabelledGrasps,
-    load_folder,
+    load_labelled,
 )
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
@@ -72,8 +72,8 @@ class Grasps(LabelledGrasps):
 
 
 def load_grasps(path: Path) -> Grasps:
-    """Return all grasps of a folder; see `load_folder`."""
-    return load_folder(path, Grasps)
+    """Return all grasps of a folder; see `load_labelled`."""
+    return load_labelled(path, Grasps)
 
 
 @dataclass(frozen=True)

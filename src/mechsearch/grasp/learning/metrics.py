@@ -136,3 +136,20 @@ class NetworkComparison:
     heaps: int
     networks: Mapping[str, Verdict]
     gain_over: Mapping[str, Gain]
+
+
+def compare(rated: Mapping[str, Floats], success: Array, heap: Array) -> NetworkComparison:
+    """Return how good qualities are, and the gain of the first network over each other one.
+
+    Args:
+        rated: Qualities (n,) of the same grasps, by network.
+        success: Of each grasp (n,).
+        heap: To which each grasp belongs (n,).
+
+    Raises:
+        MechSearchError: If all outcomes are alike.
+    """
+    (_, ours), *others = rated.items()
+    verdicts = {name: judge(quality, success) for name, quality in rated.items()}
+    gains = {name: paired_gain(ours, quality, success, heap) for name, quality in others}
+    return NetworkComparison(len(np.unique(heap)), verdicts, gains)

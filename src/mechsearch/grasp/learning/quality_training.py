@@ -1,16 +1,18 @@
 """Train a grasp quality network on grasps that were tried."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mechsearch.grasp.learning.metrics import Verdict, judge
+from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, compare, judge
 from mechsearch.grasp.learning.training import GraspTrainConfig, fit, split_by_heap
 from mechsearch.grasp.learning.trials import Trials
 from mechsearch.grasp.quality_network import (
     QualityNetwork,
+    load_quality_network,
     mirrored,
     ready,
     save_quality_network,
@@ -75,3 +77,24 @@ def predict(network: QualityNetwork, trials: Trials, batch: int = 512) -> Floats
 def judge_trials(quality: Floats, trials: Trials) -> Verdict:
     """Return how good qualities (n,) are against both executions of each grasp."""
     return judge(np.repeat(quality, 2), trials.won.ravel())
+
+
+def compare_quality_networks(
+    gripper: str, trials: Trials, networks: Mapping[str, Path | None]
+) -> NetworkComparison:
+    """Return how good a gripper's networks are, and the gain of the first over each other one.
+
+    Args:
+        gripper: By name.
+        trials: Of that gripper, that no network has learnt from.
+        networks: File of each by name; None is the shipped one.
+
+    Raises:
+        MechSearchError: If a network is no good or of another gripper, or all outcomes are alike.
+    """
+    sound = trials.where(trials.sound)
+    rated = {
+        name: np.repeat(predict(load_quality_network(gripper, path), sound), 2)
+        for name, path in networks.items()
+    }
+    return compare(rated, sound.won.ravel(), np.repeat(sound.heap, 2))

@@ -45,7 +45,7 @@ def states_of(
     rng: np.random.Generator,
     removed: int,
     pushed: int,
-    alone: bool,
+    alone: Sequence[int],
 ) -> Iterator[State]:
     """Yield states of a heap: as dropped, then others; what does not come to rest is left out.
 
@@ -55,7 +55,7 @@ def states_of(
         rng: Draws what is removed, and the pushes.
         removed: How many states with some objects removed.
         pushed: How many after pushes.
-        alone: Whether to leave each object alone once.
+        alone: Objects to leave alone, each once.
     """
     everything = np.arange(len(models))
     yield State(0, np.array(poses, np.float64), everything)
@@ -64,7 +64,7 @@ def states_of(
         yield from _settled(1, models, poses, np.sort(rng.permutation(len(models))[:size]), 0, rng)
     for _ in range(pushed):
         yield from _settled(2, models, poses, everything, int(rng.integers(1, _SWEEPS + 1)), rng)
-    for index in everything if alone else ():
+    for index in alone:
         yield from _settled(3, models, poses, everything[[index]], 0, rng)
 
 

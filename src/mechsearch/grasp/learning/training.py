@@ -25,7 +25,7 @@ from mechsearch.files.tensors import (
 from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.grasp.learning.grasp_folder import Labelled
 from mechsearch.grasp.learning.labelling import Grasps
-from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, judge, paired_gain
+from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, compare, judge
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
 from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
@@ -197,11 +197,7 @@ def compare_networks(grasps: Grasps, networks: Mapping[str, Path | None]) -> Net
         MechSearchError: If a network is no good, or all outcomes are alike.
     """
     rated = {name: predict(load_network(path), grasps) for name, path in networks.items()}
-    won, heap = grasps.success, grasps.heap
-    (_, ours), *others = rated.items()
-    verdicts = {name: judge(quality, won) for name, quality in rated.items()}
-    gains = {name: paired_gain(ours, quality, won, heap) for name, quality in others}
-    return NetworkComparison(len(np.unique(heap)), verdicts, gains)
+    return compare(rated, grasps.success, grasps.heap)
 
 
 def turned(seen: Array, angle: Array, symmetry: Array) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ it learns from next.
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -22,7 +23,8 @@ from mechsearch.grasp.learning.grasp_folder import (
     OUTCOMES,
     GraspFolder,
     LabelledGrasps,
-    load_folder,
+    load_labelled,
+    read_manifest,
     sha256,
 )
 from mechsearch.grasp.learning.states import states_of
@@ -176,8 +178,30 @@ def label_trials(
 
 
 def load_trials(path: Path) -> Trials:
-    """Return all grasps of a folder; see `load_folder`."""
-    return load_folder(path, Trials)
+    """Return all grasps of a folder; see `load_labelled`."""
+    return load_labelled(path, Trials)
+
+
+def load_rounds(gripper: str, paths: Sequence[Path]) -> Trials:
+    """Return all grasps of several folders.
+
+    Args:
+        gripper: That they were tried with, by name.
+        paths: The folders, at least one.
+
+    Raises:
+        MechSearchError: If there is no such gripper, a folder is of another one or none is named,
+            or as `load_labelled`.
+    """
+    gripper_named(gripper)
+    if not paths:
+        raise MechSearchError("no folder of tried grasps named; expected at least one")
+    rounds = [load_trials(path) for path in paths]
+    for path in paths:
+        found = read_manifest(path)["trials"]["gripper"]
+        if found != gripper:
+            raise MechSearchError(f"{path} holds grasps of {found!r}; expected {gripper!r}")
+    return Trials.concatenated(rounds)
 
 
 def trials_of_heap(
@@ -192,7 +216,8 @@ def trials_of_heap(
     parts = [_nothing(grid.rows, grid.columns)]
     # The states are the same whoever picks the grasps.
     rng = np.random.default_rng([config.seed, heap.seed])
-    states = states_of(models, heap.poses, rng, config.removed, config.pushed, config.alone)
+    alone = range(len(models)) if config.alone else ()
+    states = states_of(models, heap.poses, rng, config.removed, config.pushed, alone)
     for number, state in enumerate(states):
         world = GripperWorld([models[i] for i in state.present], [gripper])
         poses = state.poses[state.present]

@@ -1,0 +1,1 @@
+"""Learning what pushes and removals make of the chance to grasp the target: `retrieve`."""
