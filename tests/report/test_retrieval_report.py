@@ -1,17 +1,18 @@
 """Reports of retrieval: its own figures, filmstrips of its failures, apart from uncovering."""
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 
 from mechsearch.cli import main
-from mechsearch.evaluation.episodes import METRICS, RETRIEVAL_METRICS, Estimate
+from mechsearch.evaluation.episodes import METRICS, RETRIEVAL_METRICS, Estimate, save_episodes
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import read_experiment
 from mechsearch.report.contents import document, shown_modes
 from mechsearch.report.document import Paragraph, to_html, to_pdf
-from mechsearch.report.figures import draw_scores
+from mechsearch.report.figures import RUN_METRICS, draw_curves, draw_scores
 
 
 def report(*sources: Path, **models):
@@ -44,8 +45,6 @@ def test_a_report_of_retrieval_says_nothing_of_uncovering(retrievals: Path, mode
 
 
 def test_the_two_most_common_failures_are_shown(make_retrieval, tmp_path: Path) -> None:
-    from mechsearch.evaluation.episodes import save_episodes
-
     save_episodes(tmp_path / "weak.npz", make_retrieval("weak", "slipped"))
     condition = read_experiment(tmp_path).conditions["single-retrieval"]
     assert shown_modes(condition) == ("success", "slipped")
@@ -72,4 +71,26 @@ def test_the_title_says_what_was_to_be_done(loose: Path, retrievals: Path, tmp_p
     assert titles == [
         "Uncovering a target in a heap", "Retrieving a target from a heap",
         "Uncovering and retrieving a target in a heap",
+    ]  # fmt: skip
+
+
+def test_runs_that_retrieve_have_curves_of_what_is_retrieved(
+    make_retrieval, tmp_path: Path
+) -> None:
+    header = {"trained": True, "training_seed": 0, "training_actions": 100}
+    save_episodes(tmp_path / "ours.npz", make_retrieval("ours-jaws-85", "slipped", **header))
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.json").write_text(json.dumps({"name": "ours", "seed": 0}))
+    lines = [
+        {"step": step, "kind": "validation", "reward": 0.1, "retrieved_within_5": step / 100}
+        for step in (0, 50)
+    ]
+    (run / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    found = read_experiment(tmp_path)
+    assert list(found.conditions["single-retrieval"].runs) == ["ours"]
+    titles = [ax.get_title("left") for ax in draw_curves(found, RUN_METRICS, ["ours"], 2).axes]
+    assert titles[2] == "single-retrieval: within 5 attempts [%]"
+    assert [row[5:7] for row in analyse(found).numbers["learning"][1:] if "within" in row[5]] == [
+        ("retrieved_within_5", "0"), ("retrieved_within_5", "0.5"),
     ]  # fmt: skip

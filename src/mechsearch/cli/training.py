@@ -10,7 +10,7 @@ import tyro
 from mechsearch.algorithm import A, RunConfig, Schedule
 from mechsearch.cli.command import FLAT, Command, bars, say, wrote
 from mechsearch.env.task import TaskConfig
-from mechsearch.evaluation.episodes import METRICS
+from mechsearch.evaluation.episodes import metrics_of
 from mechsearch.files import CONFIG_FILE
 from mechsearch.training.algorithms import ALGORITHMS
 from mechsearch.training.config import PRESETS, load_config, run_config
@@ -87,7 +87,7 @@ class Train(Command, Generic[A, T]):
         with bars() as progress:
             scores = train(config, self.heaps, self.out, self.objects, self.resume, progress)
         if scores:
-            shown = [f"{name} {scores[name]:.3g}" for name in METRICS if name in scores]
+            shown = [f"{name} {scores[name]:.3g}" for name in metrics_of(scores)]
             say(f"last evaluation: {', '.join(shown)}")
         others = crossings(self.out)
         if others:

@@ -338,7 +338,7 @@ def curve_rows(condition: str, runs: Iterable[Run]) -> Iterator[tuple[str, ...]]
         for kind, heaps in EVALUATIONS.items():
             for record in run.records.get(kind, ()):
                 place = (condition, run.name, str(run.seed), heaps, str(record["step"]))
-                for metric in (*METRICS, *GRASP_METRICS):
+                for metric in dict.fromkeys((*METRICS, *GRASP_METRICS, *RETRIEVAL_METRICS)):
                     if metric in record:
                         yield (*place, metric, *_logged(record, metric))
 

@@ -76,6 +76,7 @@ LEARNING = ("method", "plus", "ddpg")
 ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
 ABLATION_METRICS = ("reward", "visibility_change")
 RUN_METRICS = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
+RETRIEVAL_RUN_METRICS = ("reward", "retrieved_within_1", "retrieved_within_5", "push_actions")
 _WINDOW = 15
 
 
@@ -304,13 +305,18 @@ def draw_curves(
 
     Args:
         experiment: With the runs.
-        metrics: One row each, or two in a row where there is one condition.
+        metrics: One row each, or two in a row where there is one condition; of runs that retrieve
+            `RETRIEVAL_RUN_METRICS` in their place.
         variants: Names of the runs.
         height: Of a row [inch].
     """
     conditions = [c for c in experiment.conditions.values() if c.runs or not c.retrieves]
     kind = experiment.scored_on
-    places = [(metric, condition) for metric in metrics for condition in conditions]
+    places = [
+        (RETRIEVAL_RUN_METRICS[row] if condition.retrieves else metric, condition)
+        for row, metric in enumerate(metrics)
+        for condition in conditions
+    ]
     columns = max(2, len(conditions))
     with _style():
         figure, axes = panels(len(places), columns, PRINTED_WIDTH / columns, height)
