@@ -22,6 +22,10 @@ _FIRM_TIME, _FIRM = [0.01, 1.0], [0.99, 0.999, 0.0005, 0.5, 2.0]
 
 _SIDES = "left", "right"
 
+_DRIVE = 2.0
+"""Inertia of a travelling gripper's geared drive, as its fingers feel it [kg]: what slips out of
+them is not shot away."""
+
 PUSHING_STIFFNESS, GRASPING_STIFFNESS = 2000.0, 20000.0
 """Of what carries a travelling gripper, along each axis [N/m]: soft like the pusher, or stiff."""
 
@@ -299,6 +303,7 @@ def _add_finger(
     place: Floats,
     gripper: Gripper,
     bits: tuple[int, int],
+    drive: float = 0.0,
 ) -> None:
     finger = palm.add_body()
     finger.name = name
@@ -306,7 +311,8 @@ def _add_finger(
     set_inertia(finger, gripper.finger_mass)
     add_slide(finger, name, (-side, 0.0, 0.0), (0.0, gripper.opening / 2))
     limits = (-gripper.squeeze, gripper.squeeze)
-    add_servo(spec, name, 2000.0, gripper.finger_mass, limits)
+    add_servo(spec, name, 2000.0, gripper.finger_mass + drive, limits)
+    finger.joints[0].armature = drive
     _add_box(finger, name, gripper.finger_box, np.zeros(3), gripper, *bits)
 
 
@@ -343,7 +349,7 @@ def add_travelling_gripper(
     _add_box(wrist, f"palm{index}", gripper.palm_box, gripper.palm_place + tips, gripper, *bits)
     fingers = f"finger{index}{_SIDES[0]}", f"finger{index}{_SIDES[1]}"
     for name, side in zip(fingers, (1.0, -1.0), strict=True):
-        _add_finger(spec, wrist, name, side, gripper.finger_place + tips, gripper, bits)
+        _add_finger(spec, wrist, name, side, gripper.finger_place + tips, gripper, bits, _DRIVE)
     _couple(spec, fingers)
 
 
