@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mechsearch.env.decision import reachable
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, segment_view
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
+from mechsearch.sim.scene import Workspace
 from mechsearch.types import Array, Floats, MechSearchError, Observation
 
 TARGET = 1
@@ -18,6 +20,9 @@ _NEAR, _TURN = 0.012, float(np.cos(np.deg2rad(30.0)))
 
 _FAILED_AGAIN = 0.25
 """What the same grasp's chance is multiplied by."""
+
+_WORKSPACE = Workspace()
+"""Of the robot."""
 
 _UNSEEN = (0.0, 0.0, 0.03)
 """Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
@@ -88,7 +93,7 @@ class Grasper:
         return segment_view(obs["grasp_depth"], obs["segments"], segment)
 
     def candidates(self, view: GraspView, remembering: bool = True) -> list[Candidate]:
-        """Return grasps of a view's target with all grippers, the best first.
+        """Return grasps of a view's target in reach of all grippers, the best first.
 
         Args:
             view: Of what is to be grasped.
@@ -102,10 +107,11 @@ class Grasper:
         found = []
         for number, planner in enumerate(self._planners):
             rated = planner.plan(view, self._rng, self._proposals)
-            quality = rated.quality.copy()
-            if remembering and len(rated):
-                quality[self._remembered(view, number, rated.poses)] *= _FAILED_AGAIN
-            pairs = zip(rated.poses, quality.tolist(), strict=True)
+            kept = reachable(rated.poses, _WORKSPACE)
+            poses, quality = rated.poses[kept], rated.quality[kept]
+            if remembering and len(poses):
+                quality[self._remembered(view, number, poses)] *= _FAILED_AGAIN
+            pairs = zip(poses, quality.tolist(), strict=True)
             found += [Candidate(number, pose, chance) for pose, chance in pairs]
         return sorted(found, key=lambda candidate: -candidate.quality)
 
