@@ -180,7 +180,7 @@ def fit_options(network: RetrievalValue, samples: OptionSamples, seed: int) -> f
         group = torch.from_numpy(np.repeat(np.arange(each), [len(own) for own in chosen]))
         patches, numbers = _mirrored(samples, rows, torch.from_numpy(rng.random(len(rows)) < 0.5))
         out = network(patches, numbers)
-        loss = _loss(out, samples.chance[rows], samples.clutter[rows], group, config.within)
+        loss = option_loss(out, samples.chance[rows], samples.clutter[rows], group, config.within)
         optimizer.zero_grad()
         torch.autograd.backward(loss)
         optimizer.step()
@@ -198,13 +198,24 @@ def _mirrored(samples: OptionSamples, rows: Tensor, flip: Tensor) -> tuple[Tenso
     return patches, torch.where(flip[:, None], numbers * signs, numbers)
 
 
-def _loss(out: Tensor, chance: Tensor, clutter: Tensor, group: Tensor, within: float) -> Tensor:
+def option_loss(
+    out: Tensor, chance: Tensor, clutter: Tensor, decision: Tensor, within: float
+) -> Tensor:
+    """Return how far a network is off what options (B,) came to.
+
+    Args:
+        out: Its output (B, 2).
+        chance: What they came to (B,); see `OptionSamples`.
+        clutter: Likewise (B,) [m].
+        decision: Number of the decision (B,), from 0 on.
+        within: Weight of how options of one decision differ, beside what each comes to.
+    """
     off = torch.sigmoid(out[:, 0]) - chance
-    count = torch.zeros(int(group.max()) + 1).index_add(0, group, torch.ones(len(group)))
-    mean = torch.zeros(len(count)).index_add(0, group, off) / count
+    count = torch.zeros(int(decision.max()) + 1).index_add(0, decision, torch.ones(len(decision)))
+    mean = torch.zeros(len(count)).index_add(0, decision, off) / count
     moved = (clutter / _CLUTTER).clamp(max=_MOST_CLUTTER)
     return (
         functional.binary_cross_entropy_with_logits(out[:, 0], chance)
-        + within * (off - mean[group]).square().mean()
+        + within * (off - mean[decision]).square().mean()
         + functional.huber_loss(out[:, 1], moved)
     )
