@@ -163,8 +163,11 @@ class RetrievalValuesSession:
         tried = self._choose(options, policy.judge(options, situation))
         if tried:
             start = self._env.snapshot()
-            chances, moved = zip(*(self._try(start, each, seed) for each in tried), strict=True)
-            samples.append(OptionSamples.of(view_options(tried, situation), chances, moved))
+            came_to = [self._try(start, each, seed) for each in tried]
+            learnt = [i for i, found in enumerate(came_to) if found is not None]
+            views = view_options([tried[i] for i in learnt], situation)
+            found = np.array([came_to[i] for i in learnt], np.float64).reshape(-1, 2)
+            samples.append(OptionSamples.of(views, *found.T.tolist()))
         return tried
 
     def _explored(self, obs: Observation, tried: Sequence[Option]) -> Option | Candidate:
@@ -187,11 +190,18 @@ class RetrievalValuesSession:
         chosen = [*order[:ranked], *(rest[i] for i in drawn)]
         return [*removals, *(options[i] for i in chosen)]
 
-    def _try(self, start: dict[str, Array], option: Option, seed: int) -> tuple[float, float]:
-        """Return the chance of the best grasp after an option, and the clutter that it moved."""
+    def _try(
+        self, start: dict[str, Array], option: Option, seed: int
+    ) -> tuple[float, float] | None:
+        """Return the chance of the best grasp after an option, and the clutter that it moved.
+
+        Nothing is learnt where it was cut off or the simulator failed.
+        """
         obs = self._twin.restore(from_start(start))
         rollout = roll_out(self._twin, obs, _proposed(option))
         self.counts["simulated"] += len(rollout.actions)
+        if rollout.end not in (None, "retrieved", "lost"):
+            return None
         if rollout.end is not None:
             return float(rollout.end == "retrieved"), rollout.clutter_moved
         # The same proposals for every option: what differs is the heap.
@@ -203,6 +213,8 @@ class RetrievalValuesSession:
         best = grasps[0]
         info = self._twin.step(Decision.grasp(best.pose, best.gripper).vector())[4]
         self.counts["simulated"] += 1
+        if info["failure"] is not None:
+            return None
         return (best.quality + float(info["retrieved"])) / 2, rollout.clutter_moved
 
     def fit(self) -> dict[str, float]:
