@@ -1,5 +1,7 @@
 """The ceiling of retrieval: what it tried is what happens."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from mechsearch.env.decision import Decision
 from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.rollout import Planner, evaluate, run_episode
+from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.retrieval import grasper as room
 from mechsearch.retrieval.oracle import OracleConfig, RetrieveOracle
 from mechsearch.types import GRASP, PUSH, REMOVE, MechSearchError
@@ -57,6 +60,37 @@ def test_every_grasp_that_worked_when_it_was_tried_works(play, perturbed, seed, 
     assert record.end == "retrieved"
 
 
+class VainPlanner(MiddlePlanner):
+    """Grasps 10 cm above everything."""
+
+    def plan(self, view, rng, count=3):
+        rated = super().plan(view, rng, count)
+        return RatedGrasps(rated.poses + np.array([0, 0, 0.1, 0, 0, 0, 0]), rated.quality)
+
+
+def test_where_nothing_works_no_plan_goes_beyond_the_decisions_that_are_left(play, monkeypatch):
+    monkeypatch.setattr(room, "GraspPlanner", VainPlanner)
+    done, record, _ = play(max_removals=0, max_actions=12, max_grasps=2)
+    assert [d.kind for d in done].count(PUSH) > 3
+    assert "used up" not in record.retrieval.outcomes
+    assert (done[-1].kind, record.end) == (GRASP, "budget")
+
+
+def test_the_grasp_that_worked_after_a_plan_is_part_of_it(play, monkeypatch):
+    """A planner that is good twice: for the lid, and for the cube once the lid is away."""
+    calls = []
+
+    def plan(self, view, rng, count=3):
+        calls.append(1)
+        kind = MiddlePlanner if len(calls) in (2, 3) else VainPlanner
+        return kind.plan(kind("jaws-85"), view, rng, count)
+
+    monkeypatch.setattr(room, "GraspPlanner", type("Moody", (MiddlePlanner,), {"plan": plan}))
+    done, record, _ = play()
+    assert [d.kind for d in done] == [REMOVE, GRASP]
+    assert record.end == "retrieved"
+
+
 def test_it_tries_with_the_decisions_that_are_left(play):
     done, record, policy = play(max_removals=0, max_actions=2, max_grasps=1)
     kinds = [d.kind for d in done]
@@ -74,7 +108,7 @@ def test_episodes_depend_on_the_seed_alone_and_trials_execute_nothing(play):
 
 
 def test_what_is_seen_in_a_trial_is_not_where_the_target_was_seen(covered, boxes):
-    policy = RetrieveOracle(SMALL)
+    policy = RetrieveOracle(replace(SMALL, pushes=8))
     env = RetrieveEnv([covered], boxes, RetrieveConfig(keys=policy.keys, max_removals=0))
     policy.equip(("jaws-85",))
     obs, _ = env.reset(options={"heap": 0, "fixed_start": True})

@@ -167,7 +167,7 @@ def hidden(obs, *boxes):
     return {**obs, **segments_of(*boxes), "position_image": np.zeros_like(obs["position_image"])}
 
 
-LOW, HIGH = (2, (230, 255), (230, 280), 0.72), (3, (256, 280), (230, 280), 0.66)
+LOW, HIGH = (2, (230, 262), (230, 280), 0.72), (3, (262, 280), (230, 280), 0.66)
 APART = (4, (50, 90), (50, 90), 0.6)
 
 
