@@ -29,6 +29,18 @@ def test_a_point_lies_on_the_ray_of_its_own_pixel_at_its_own_depth(name, seed, s
     assert depth == pytest.approx((point - eye) @ camera.pose[:3, 2])
 
 
+@given(st.sampled_from(list(VIEWS)), st.integers(0, 2**32 - 1))
+def test_points_at_places_of_the_image_project_back_there(name, seed):
+    camera, rng = preset(name), np.random.default_rng(seed)
+    columns, rows, depths = rng.uniform(0, 63, (2, 3)), rng.uniform(0, 63, (2, 3)), rng.random() + 1
+    projected = camera.project(camera.points_at(columns, rows, np.full((2, 3), depths)))
+    np.testing.assert_allclose(projected[..., 0], columns, atol=1e-9)
+    np.testing.assert_allclose(projected[..., 1], rows, atol=1e-9)
+    np.testing.assert_allclose(projected[..., 2], depths)
+    one = camera.points_at(columns[1, 2], rows[1, 2], depths)
+    np.testing.assert_allclose(camera.project(one), projected[1, 2], atol=1e-9)
+
+
 @given(st.sampled_from(list(VIEWS)), st.integers(8, 200), st.integers(8, 200))
 def test_a_resized_view_maps_pixels_in_proportion_and_back(name, one, other):
     camera = preset(name, one)

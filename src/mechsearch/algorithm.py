@@ -2,8 +2,8 @@
 
 An algorithm is a frozen dataclass of its options. It begins a session, which acts, learns and can
 be kept; the loop (`training.loop`) asks the session to advance, writes what it tells, scores its
-policy and keeps checkpoints. The built-in ones, `actor_critic` and `push_values`, are no different
-from one that a user names as `package.module:factory`.
+policy and keeps checkpoints. The built-in ones, `actor_critic`, `push_values` and
+`retrieval_values`, are no different from one that a user names as `package.module:factory`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

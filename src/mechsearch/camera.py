@@ -69,6 +69,12 @@ class Camera:
             )
         return apply(self.pose, self.directions() * z[..., None])
 
+    def points_at(self, columns: ArrayLike, rows: ArrayLike, depths: ArrayLike) -> Floats:
+        """Return the world points (..., 3) [m] at places (...,) [px] and depths (...,) [m]."""
+        u, v = np.asarray(columns, np.float64), np.asarray(rows, np.float64)
+        rays = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones(u.shape)], -1)
+        return apply(self.pose, rays * np.asarray(depths, np.float64)[..., None])
+
     def directions(self) -> Floats:
         """Return each pixel's ray (H, W, 3) in the camera frame, scaled so that z is 1."""
         columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))

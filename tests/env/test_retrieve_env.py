@@ -188,13 +188,13 @@ def test_what_is_seen_is_what_is_asked_for_and_nothing_privileged(covered, boxes
     assert [obs[key].item() for key in RETRIEVAL_KEYS[-3:]] == [49, 8, 7]
 
 
-def test_the_closed_jaws_are_in_the_picture_and_out_of_the_grasp_cameras(covered, boxes):
+def test_the_robot_is_out_of_the_way_whenever_a_camera_looks(covered, boxes):
     env = RetrieveEnv([covered], boxes, render_mode="rgb_array")
     before, _ = env.reset(options=FIXED)
     env.world.place_pusher([-0.1, 0.1, 0.1])
     after, *_ = env.step(Decision.push([0, 0, 0]).vector())
-    assert (before["depth"] != after["depth"]).any()
-    np.testing.assert_array_equal(before["grasp_depth"], after["grasp_depth"])
+    for key in ("depth", "grasp_depth"):
+        np.testing.assert_array_equal(before[key], after[key])
     assert env.render().shape == (256, 256, 3)
 
 

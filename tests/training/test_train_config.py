@@ -61,9 +61,9 @@ def test_pushes_are_learnt_under_any_camera():
     assert PRESETS["plus"].changed(camera="tilted").task.camera == "tilted"
 
 
-def test_only_the_no_pose_ablation_changes_what_the_actor_sees():
+def test_only_the_no_pose_ablation_and_retrieval_change_what_the_actor_sees():
     found = {name for name, config in PRESETS.items() if config.algorithm.keys != ACTOR_KEYS}
-    assert found == {"no-pose-input"}
+    assert found == {"no-pose-input", "retrieve"}
 
 
 def test_no_actor_sees_privileged_keys():

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.geometry import yaw_quaternion
+from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
 from mechsearch.sim.scene import Workspace
 from mechsearch.types import (
     DECISION_NAMES,
@@ -23,6 +23,17 @@ from mechsearch.types import (
 
 STEEPEST = float(np.cos(np.deg2rad(60.0)))
 """Least upward part of a grasp's z axis: grippers come from above, tilted by at most 60 degrees."""
+
+_BELOW = 0.01
+"""How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
+
+
+def reachable(poses: Array, workspace: Workspace) -> NDArray[np.bool_]:
+    """Return which poses (..., 7) of a gripper's frame are in reach (...,)."""
+    above = np.abs(poses[..., :2]).max(axis=-1) <= workspace.table_half
+    high = (poses[..., 2] >= -_BELOW) & (poses[..., 2] <= workspace.high)
+    upright = rotation_from_quaternion(poses[..., 3:])[..., 2, 2] >= STEEPEST
+    return np.asarray(above & high & upright)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from mechsearch.env.decision import STEEPEST, Decision, DecisionSpace
+from mechsearch.env.decision import Decision, DecisionSpace, reachable
 from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
@@ -31,9 +31,6 @@ from mechsearch.types import (
     Floats,
     MechSearchError,
 )
-
-_BELOW = 0.01
-"""How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
 
 
 class RetrieveEnv(gymnasium.Env[Any, Array]):
@@ -194,17 +191,14 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
                 f"gripper {decision.gripper} does not exist; choose 0 to {len(names) - 1} of "
                 f"{', '.join(names)}"
             )
-        if decision.kind == PUSH:
-            return
-        half, high = workspace.table_half, workspace.high
-        x, y, z, *quaternion = decision.numbers
-        up = float(rotation_from_quaternion(quaternion)[2, 2])
-        if max(abs(x), abs(y)) > half or not -_BELOW <= z <= high or up < STEEPEST:
+        if decision.kind != PUSH and not reachable(np.array(decision.numbers), workspace):
+            x, y, z, *quaternion = decision.numbers
+            up = float(rotation_from_quaternion(quaternion)[2, 2])
             raise MechSearchError(
                 f"a {DECISION_NAMES[decision.kind]} at ({x:.3f}, {y:.3f}, {z:.3f}) m, tilted by "
                 f"{np.rad2deg(np.arccos(np.clip(up, -1, 1))):.0f} degrees, is out of reach; "
-                f"expected x and y within {half} m of the middle, a height up to {high} m, and a "
-                "tilt up to 60 degrees"
+                f"expected x and y within {workspace.table_half} m of the middle, a height up to "
+                f"{workspace.high} m, and a tilt up to 60 degrees"
             )
 
     def _left(self, kind: int) -> int:

@@ -3,10 +3,10 @@
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zlib import crc32
 
 import torch
@@ -19,6 +19,8 @@ from mechsearch.files import write_whole
 from mechsearch.types import MechSearchError
 
 ARCHIVE_FORMAT = 1
+
+Module = TypeVar("Module", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,25 @@ def part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """Return the tensors that `prefixed` named so, under their own names."""
     head = prefix + "/"
     return {k.removeprefix(head): v for k, v in tensors.items() if k.startswith(head)}
+
+
+def tensors_of(modules: Sequence[nn.Module]) -> dict[str, Tensor]:
+    """Return the weights of several modules by their place and name, as `filled` takes them."""
+    tensors: dict[str, Tensor] = {}
+    for i, module in enumerate(modules):
+        tensors |= prefixed(str(i), module.state_dict())
+    return tensors
+
+
+def filled(modules: Sequence[Module], tensors: Mapping[str, Tensor]) -> list[Module]:
+    """Return modules themselves, with the weights that `tensors_of` returned.
+
+    Raises:
+        MechSearchError: If they are of other modules.
+    """
+    for i, module in enumerate(modules):
+        fill(module, part(tensors, str(i)))
+    return list(modules)
 
 
 def fill(module: nn.Module, tensors: Mapping[str, Tensor]) -> None:

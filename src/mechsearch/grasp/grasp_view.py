@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.geometry import apply
 from mechsearch.objects.model import ObjectModel
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import Array, Floats, MechSearchError
@@ -67,10 +66,9 @@ class ImageGrasp:
         Its x axis is the closing direction, its z axis runs against the approach, which is the
         optical axis.
         """
-        ray = [(self.column - camera.cx) / camera.fx, (self.row - camera.cy) / camera.fy, 1.0]
         closing, up = np.array([*self.axis, 0.0]), np.array([0.0, 0.0, -1.0])
         local = np.stack([closing, np.cross(up, closing), up], axis=1)
-        centre = apply(camera.pose, self.depth * np.array(ray))
+        centre = camera.points_at(self.column, self.row, self.depth)
         return np.array([*centre, *_quaternion(camera.pose[:3, :3] @ local)])
 
 
@@ -135,6 +133,18 @@ def _quaternion(rotation: Floats) -> Floats:
     )
     q: Floats = np.linalg.eigh(outer)[1][:, -1]
     return q if q[0] >= 0 else -q
+
+
+def surroundings(mask: Array, pad: int) -> tuple[slice, slice]:
+    """Return the part of an image that holds a mask and so many pixels around it.
+
+    Args:
+        mask: With at least one pixel inside (H, W).
+        pad: Pixels around it.
+    """
+    rows, columns = np.nonzero(mask)
+    top, left = max(int(rows.min()) - pad, 0), max(int(columns.min()) - pad, 0)
+    return slice(top, int(rows.max()) + pad + 1), slice(left, int(columns.max()) + pad + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,10 @@ from typing import Any
 from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
 from mechsearch.env.task import TaskConfig
 from mechsearch.files import record_from_json
+from mechsearch.files.tensors import filled, tensors_of
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.session import PushValuesConfig, PushValuesSession
-from mechsearch.push_values.value import Continuation, PushValueConfig, networks_of, tensors_of
+from mechsearch.push_values.value import Continuation, PushValue, PushValueConfig
 from mechsearch.types import ACTOR_KEYS
 
 
@@ -55,10 +56,9 @@ class PushValues(PushValuesConfig):
         # Earlier versions kept the cost of an action with the network.
         network = dict(facts["network"])
         own = {"idleness": network.pop("idleness")} if "idleness" in network else {}
+        config = record_from_json(PushValueConfig, network)
         return PushPolicy(
-            networks_of(
-                tensors, int(facts["networks"]), record_from_json(PushValueConfig, network)
-            ),
+            filled([PushValue(config) for _ in range(int(facts["networks"]))], tensors),
             record_from_json(Continuation, facts["ahead"]),
             record_from_json(PushPolicyConfig, {**own, **facts["policy"]}),
         )

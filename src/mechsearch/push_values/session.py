@@ -13,7 +13,7 @@ from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, a
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.trial import Rollout, from_start, imageless, roll_out
 from mechsearch.files import record_from_json
-from mechsearch.files.tensors import Archive, load_archive, save_archive
+from mechsearch.files.tensors import Archive, filled, load_archive, save_archive, tensors_of
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import (
     Continuation,
@@ -22,8 +22,6 @@ from mechsearch.push_values.value import (
     PushValue,
     PushValueConfig,
     fit_pushes,
-    networks_of,
-    tensors_of,
 )
 from mechsearch.pushes.push import Push, draw_pushes
 from mechsearch.pushes.view import PlannedPush, Sight, view_pushes
@@ -233,7 +231,7 @@ class PushValuesSession:
         self.counts = {**self.counts, **facts["counts"]}
         self._rng.bit_generator.state = json.loads(facts["generator"])
         count = self.config.networks if self.counts["fits"] else 0
-        networks = networks_of(tensors, count, self.config.value)
+        networks = filled([PushValue(self.config.value) for _ in range(count)], tensors)
         self.policy = self._policy(networks, record_from_json(Continuation, facts["ahead"]))
         for number in range(self.counts["episodes"]):
             self.remember(load_episode(self._file(number)))

@@ -1,6 +1,6 @@
 """What a push will bring, judged from how it looks: a small network, and its fit to outcomes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from mechsearch.files.tensors import fill, part, prefixed
 from mechsearch.pushes.view import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
 from mechsearch.types import MechSearchError
 
@@ -168,28 +167,6 @@ class PushValue(nn.Module):
         now = _REWARD * out[:, 0] - idleness * actions
         value: Tensor = now + covered * continuation.value(out[:, 2])
         return value
-
-
-def tensors_of(networks: Sequence[PushValue]) -> dict[str, Tensor]:
-    """Return the weights of networks by their place and name, as `networks_of` takes them."""
-    tensors: dict[str, Tensor] = {}
-    for i, network in enumerate(networks):
-        tensors |= prefixed(str(i), network.state_dict())
-    return tensors
-
-
-def networks_of(
-    tensors: Mapping[str, Tensor], count: int, config: PushValueConfig
-) -> list[PushValue]:
-    """Return the networks whose weights `tensors_of` returned.
-
-    Raises:
-        MechSearchError: If they are of other networks.
-    """
-    networks = [PushValue(config) for _ in range(count)]
-    for i, network in enumerate(networks):
-        fill(network, part(tensors, str(i)))
-    return networks
 
 
 def targets(samples: PushSamples, config: PushValueConfig) -> Tensor:

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mechsearch.env.decision import reachable
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, segment_view
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
+from mechsearch.sim.scene import Workspace
 from mechsearch.types import Array, Floats, MechSearchError, Observation
 
 TARGET = 1
@@ -18,6 +20,12 @@ _NEAR, _TURN = 0.012, float(np.cos(np.deg2rad(30.0)))
 
 _FAILED_AGAIN = 0.25
 """What the same grasp's chance is multiplied by."""
+
+_WORKSPACE = Workspace()
+"""Of the robot."""
+
+_UNSEEN = (0.0, 0.0, 0.03)
+"""Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +45,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Failed:
-    """A grasp of the target that failed, in the target's frame."""
+    """A grasp of the target that failed: of which gripper, and how it lay.
+
+    Attributes:
+        gripper: Number of the gripper.
+        offset: From the middle of the target's visible part (3,) [m].
+        closing: Direction (3,).
+    """
 
     gripper: int
     offset: Floats
@@ -47,7 +61,8 @@ class _Failed:
 class Grasper:
     """Plans with all grippers, and thinks less of what has failed before.
 
-    The target's frame is the middle of its visible part: a memory moves along with the target.
+    A failed grasp is remembered by its place from the middle of the target's visible part, so that
+    it moves along with the target, though it does not turn with it.
     """
 
     def __init__(self, proposals: int = PROPOSALS) -> None:
@@ -71,14 +86,14 @@ class Grasper:
         """Begin an episode; proposals come from `rng`."""
         self._rng = rng
         self._failed: list[_Failed] = []
-        self._last = np.array([0.0, 0.0, 0.03])
+        self._last: Floats = np.array(_UNSEEN)
 
     def view(self, obs: Observation, segment: int = TARGET) -> GraspView:
         """Return the view of a segment; "grasp_depth" and "segments" are read."""
         return segment_view(obs["grasp_depth"], obs["segments"], segment)
 
     def candidates(self, view: GraspView, remembering: bool = True) -> list[Candidate]:
-        """Return grasps of a view's target with all grippers, the best first.
+        """Return grasps of a view's target in reach of all grippers, the best first.
 
         Args:
             view: Of what is to be grasped.
@@ -92,10 +107,11 @@ class Grasper:
         found = []
         for number, planner in enumerate(self._planners):
             rated = planner.plan(view, self._rng, self._proposals)
-            quality = rated.quality.copy()
-            if remembering and len(rated):
-                quality[self._remembered(view, number, rated.poses)] *= _FAILED_AGAIN
-            pairs = zip(rated.poses, quality.tolist(), strict=True)
+            kept = reachable(rated.poses, _WORKSPACE)
+            poses, quality = rated.poses[kept], rated.quality[kept]
+            if remembering and len(poses):
+                quality[self._remembered(view, number, poses)] *= _FAILED_AGAIN
+            pairs = zip(poses, quality.tolist(), strict=True)
             found += [Candidate(number, pose, chance) for pose, chance in pairs]
         return sorted(found, key=lambda candidate: -candidate.quality)
 
@@ -112,13 +128,8 @@ class Grasper:
         """Return the middle of the target's visible part (3,) [m]; of a hidden one, the last."""
         rows, columns = np.nonzero(view.mask)
         if len(rows):
-            camera, depth = view.camera, float(np.median(view.depth[rows, columns]))
-            ray = [
-                (columns.mean() - camera.cx) / camera.fx, (rows.mean() - camera.cy) / camera.fy,
-                1.0,
-            ]  # fmt: skip
-            pose = camera.pose
-            self._last = pose[:3, :3] @ (depth * np.array(ray)) + pose[:3, 3]
+            depth = np.median(view.depth[rows, columns])
+            self._last = view.camera.points_at(columns.mean(), rows.mean(), depth)
         return self._last
 
     def blind(self, view: GraspView) -> Candidate:

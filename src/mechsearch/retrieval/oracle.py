@@ -1,21 +1,27 @@
 """The ceiling of retrieval: a policy that tries its decisions in the simulator first."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
 from mechsearch.camera import preset
 from mechsearch.env.decision import Decision
 from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.trial import from_start, imageless, roll_out
+from mechsearch.env.trial import Rollout, imageless, roll_out
 from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.pushes.push import draw_pushes
 from mechsearch.pushes.view import PlannedPush, look
 from mechsearch.retrieval.grasper import Candidate, Grasper
 from mechsearch.retrieval.policies import occluders
-from mechsearch.types import ACTOR_KEYS, GRASP_KEYS, Array, Floats, MechSearchError, Observation
+from mechsearch.retrieval.proposing import once, pushing
+from mechsearch.types import GRASP_KEYS, RETRIEVAL_KEYS, Array, Floats, MechSearchError, Observation
+
+_ACTION = 0.01
+"""What each action of a plan costs, in chance."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +42,14 @@ class OracleConfig:
 
 
 class RetrieveOracle:
-    """Grasps what would work; else does what would let a grasp work, by the fewest actions.
+    """Grasps what would work; else does what would let a grasp work, and then makes that grasp.
 
-    It needs snapshots of the simulator, which no robot has. What it tries is counted apart.
+    It needs snapshots of the simulator, which no robot has. It tries with the decisions that are
+    left, and what it tries is counted apart.
     """
 
     goal = RETRIEVE
-    keys: tuple[str, ...] = (*ACTOR_KEYS, *GRASP_KEYS)
+    keys: tuple[str, ...] = RETRIEVAL_KEYS
 
     def __init__(self, config: OracleConfig | None = None) -> None:
         """Set how much to try."""
@@ -88,19 +95,24 @@ class RetrieveOracle:
         here = self._apart(self.grasper.candidates(view), config.grasps)
         if (found := self._working(start, here)) is not None:
             return [found]
-        plans = [*self._removals(obs), *self._pushes(start, obs)]
+        # Where the target would be seen later is not where it was seen last.
+        ahead = copy(self.grasper)
         ways = []
-        for plan in plans:
-            end = self._end(start, plan)
-            if end is None:
+        for rollout in self._rollouts(start, obs):
+            plan = list(rollout.actions)
+            if rollout.end == "retrieved":
+                return plan
+            if rollout.end is not None or not plan:
                 continue
-            seen = self._eyes.restore(end)
-            after = self._apart(self.grasper.candidates(self.grasper.view(seen)), config.after)
-            works = self._working(end, after) is not None
-            best = after[0].quality if after else 0.0
-            ways.append((works, best - 0.01 * len(plan), plan))
+            end = self._twin.snapshot()
+            seen = ahead.view(self._eyes.restore(end))
+            after = self._apart(ahead.candidates(seen), config.after)
+            chance = after[0].quality if after else 0.0
+            grasp = self._working(end, after)
+            worth = (grasp is not None, chance - _ACTION * len(plan))
+            ways.append((worth, plan if grasp is None else [*plan, grasp]))
         if ways:
-            return max(ways, key=lambda way: way[:2])[2]
+            return max(ways, key=itemgetter(0))[1]
         candidate = (here or [self.grasper.blind(view)])[0]
         self.grasper.remember(view, candidate)
         return [Decision.grasp(candidate.pose, candidate.gripper).vector()]
@@ -120,45 +132,35 @@ class RetrieveOracle:
         """Return the first grasp that retrieves the target from a state."""
         for candidate in tried:
             vector = Decision.grasp(candidate.pose, candidate.gripper).vector()
-            self._twin.restore(from_start(start))
+            self._twin.restore(start)
             self.simulated_actions += 1
             if self._twin.step(vector)[4]["retrieved"]:
                 return vector
         return None
 
-    def _removals(self, obs: Observation) -> list[list[Array]]:
-        plans: list[list[Array]] = []
+    def _rollouts(self, start: dict[str, Array], obs: Observation) -> Iterator[Rollout]:
+        """Yield what removals and pushes come to, the twin being where each of them ends."""
+        proposals = [*map(once, self._removals(obs)), *map(pushing, self._pushes(obs))]
+        for propose in proposals:
+            rollout = roll_out(self._twin, self._twin.restore(start), propose)
+            self.simulated_actions += len(rollout.actions)
+            yield rollout
+
+    def _removals(self, obs: Observation) -> list[Decision]:
+        if not obs["removals_left"][0]:
+            return []
+        found = []
         for occluder in occluders(obs["grasp_depth"], obs["segments"])[: self.config.removals]:
             view = self.grasper.view(obs, occluder.segment)
-            for candidate in self._apart(self.grasper.candidates(view, False), 1):
-                plans.append([Decision.remove(candidate.pose, candidate.gripper).vector()])
-        return plans
+            best = self._apart(self.grasper.candidates(view, False), 1)
+            found += [Decision.remove(each.pose, each.gripper) for each in best]
+        return found
 
-    def _pushes(self, start: dict[str, Array], obs: Observation) -> list[list[Array]]:
+    def _pushes(self, obs: Observation) -> list[PlannedPush]:
+        if not obs["pushes_left"][0]:
+            return []
         task = self._twin.config
         sight = look(obs, preset(task.camera, task.image_size))
         if sight.centre is None:
             sight = replace(sight, centre=self.grasper.middle(self.grasper.view(obs)))
-        plans = []
-        for push in draw_pushes(self.config.pushes, self._rng):
-            planned = PlannedPush(push, sight)
-
-            def propose(seen: Observation, planned: PlannedPush = planned) -> Array | None:
-                action = planned.act(seen)
-                return None if action is None else Decision.push(action).vector()
-
-            rollout = roll_out(self._twin, self._twin.restore(from_start(start)), propose)
-            self.simulated_actions += len(rollout.actions)
-            if rollout.end is None and rollout.actions:
-                plans.append(rollout.actions)
-        return plans
-
-    def _end(self, start: dict[str, Array], plan: Sequence[Array]) -> dict[str, Array] | None:
-        """Return where a plan leads, at rest, or None where it ends the episode."""
-        self._twin.restore(from_start(start))
-        for vector in plan:
-            info = self._twin.step(vector)[4]
-            self.simulated_actions += 1
-            if info["end"] is not None:
-                return None
-        return self._twin.snapshot()
+        return [PlannedPush(push, sight) for push in draw_pushes(self.config.pushes, self._rng)]

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from mechsearch.env.decision import Decision
+from mechsearch.env.task import TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE, make_policy
-from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.grasp_view import GraspView, surroundings
 from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper
 from mechsearch.types import (
     ACTOR_KEYS,
@@ -23,12 +24,15 @@ from mechsearch.types import (
 _BESIDE = 3
 """Pixels around the target within which another object's edge counts as touching it."""
 
+_SAME = 0.02
+"""Distance between the poses, as vectors (7,), up to which two removals are the same."""
+
 _HIGHER = 0.004
 """By which an object at the target's edge is above it to hide a part of it [m]."""
 
 
 class GraspOnly:
-    """Grasps the target again and again, the best-rated way that has not failed yet."""
+    """Grasps the target again and again, the best-rated way; what failed is rated lower."""
 
     goal = RETRIEVE
     keys: tuple[str, ...] = (*GRASP_KEYS, *BUDGET_KEYS)
@@ -64,10 +68,15 @@ class UncoverThenGrasp(GraspOnly):
 
     keys: tuple[str, ...] = (*ACTOR_KEYS, *GRASP_KEYS, *BUDGET_KEYS, OCCLUSION_KEY)
 
-    def __init__(self, pusher: str = "single", uncovered_at: float = 0.02) -> None:
+    def __init__(
+        self, pusher: str = "single", uncovered_at: float = TaskConfig.uncovered_at
+    ) -> None:
         """Take who pushes, as for `make_policy`, and from which occlusion on it need not."""
         super().__init__()
         self._pusher, self._uncovered_at = make_policy(pusher), uncovered_at
+        # Who pushes sees through one camera alone.
+        self.camera = getattr(self._pusher, "camera", None)
+        self.image_size = getattr(self._pusher, "image_size", None)
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; pushes and proposals come from `rng`."""
@@ -112,7 +121,7 @@ class ClearThenGrasp(GraspOnly):
 
     def _is_new(self, candidate: Candidate) -> bool:
         away = [np.linalg.norm(candidate.pose - pose) for pose in self._tried]
-        return not away or bool(min(away) > 0.02)
+        return bool(min(away, default=np.inf) > _SAME)
 
 
 @dataclass(frozen=True)
@@ -138,19 +147,14 @@ def occluders(depth: Array, segments: Array) -> list[Occluder]:
     target = segments == TARGET
     if not target.any():
         return []
-    rows, columns = np.nonzero(target)
-    pad = _BESIDE + 1
-    part = (
-        slice(max(rows.min() - pad, 0), rows.max() + pad + 1),
-        slice(max(columns.min() - pad, 0), columns.max() + pad + 1),
-    )
+    part = surroundings(target, _BESIDE + 1)
     own, near, numbers = target[part], depth[part], segments[part]
-    # The target's depth at its own edge, carried outwards.
     edge = binary_dilation(own, iterations=_BESIDE) & ~own
     found = []
     for number in np.unique(numbers[edge & (numbers > TARGET)]).tolist():
         beside = edge & (numbers == number)
         around = binary_dilation(beside, iterations=_BESIDE + 1) & own
+        # The target's own depth there, from the pixels of it that are closest.
         if around.any() and near[beside].mean() < near[around].mean() - _HIGHER:
             found.append(Occluder(number, -float(depth[segments == number].min())))
     return sorted(found, key=lambda occluder: -occluder.height)

@@ -8,9 +8,10 @@ from typing import Any
 from mechsearch.algorithm import NamedTensors, RunConfig, TrainingSetup
 from mechsearch.env.task import RetrievalTask, TaskConfig
 from mechsearch.files import record_from_json
+from mechsearch.files.tensors import filled, tensors_of
 from mechsearch.retrieval_values.policy import RetrievePolicy, RetrievePolicyConfig
 from mechsearch.retrieval_values.session import RetrievalValuesConfig, RetrievalValuesSession
-from mechsearch.retrieval_values.value import RetrievalValueConfig, networks_of, tensors_of
+from mechsearch.retrieval_values.value import RetrievalValue, RetrievalValueConfig
 from mechsearch.types import RETRIEVAL_KEYS, MechSearchError
 
 
@@ -36,7 +37,8 @@ class RetrievalValues(RetrievalValuesConfig):
         """
         if not isinstance(task, RetrievalTask):
             raise MechSearchError(
-                f"retrieval is learnt in a RetrievalTask; got a {type(task).__name__}"
+                f"retrieval is learnt in a RetrievalTask, not in a {type(task).__name__}; "
+                "begin from the variant retrieve, which has one"
             )
 
     def begin(
@@ -59,8 +61,8 @@ class RetrievalValues(RetrievalValuesConfig):
 
     def load(self, tensors: NamedTensors, facts: Mapping[str, Any]) -> RetrievePolicy:
         """Return the policy that `save` was given."""
-        network = record_from_json(RetrievalValueConfig, facts["network"])
+        config = record_from_json(RetrievalValueConfig, facts["network"])
         return RetrievePolicy(
-            networks_of(tensors, int(facts["networks"]), network),
+            filled([RetrievalValue(config) for _ in range(int(facts["networks"]))], tensors),
             record_from_json(RetrievePolicyConfig, facts["policy"]),
         )

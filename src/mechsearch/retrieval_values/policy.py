@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_dilation
 
+from mechsearch.algorithm import at_least
 from mechsearch.camera import preset
 from mechsearch.env.decision import Decision
 from mechsearch.env.task import TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
-from mechsearch.grasp.grasp_view import GraspView
+from mechsearch.grasp.grasp_view import GraspView, surroundings
 from mechsearch.grasp.height_map import height_map
 from mechsearch.pushes.push import draw_pushes
 from mechsearch.pushes.view import PlannedPush, Sight, look
@@ -29,6 +30,9 @@ from mechsearch.types import RETRIEVAL_KEYS, Array, Floats, Observation
 
 _AROUND = 14
 """Pixels about the target within which another object may be in the way [px]."""
+
+_SAME = 0.015
+"""A removal nearer than this to one that was made is the same [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,10 @@ class RetrievePolicyConfig:
     margin: float = 0.05
     camera: str = TaskConfig.camera
     image_size: int = TaskConfig.image_size
+
+    def __post_init__(self) -> None:
+        at_least(0, self, "pushes", "removals")
+        at_least(1, self, "proposals")
 
 
 class RetrievePolicy:
@@ -183,48 +191,28 @@ class RetrievePolicy:
             own = self.grasper.view(obs, number)
             grasps = [c for c in self.grasper.candidates(own, False) if self._is_new(c)]
             if grasps:
-                place, height = _points(own)
-                found.append(RemovalOption(grasps[0], place, height))
+                rows, columns = (axis[::4] for axis in np.nonzero(own.mask))
+                points = own.camera.points_at(columns, rows, own.depth[rows, columns])
+                found.append(RemovalOption(grasps[0], points[:, :2], float(points[:, 2].max())))
         return found
 
     def _around(self, segments: Array, view: GraspView) -> list[int]:
-        """Return the segments with the most pixels about the target's visible part."""
-        camera = view.camera
-        if view.mask.any():
-            rows, columns = np.nonzero(view.mask)
-        else:
-            pixel = camera.project(self.grasper.middle(view)[None])[0]
-            rows, columns = (np.array([round(float(p))]) for p in (pixel[1], pixel[0]))
-        pad = _AROUND + 1
-        top, left = max(int(rows.min()) - pad, 0), max(int(columns.min()) - pad, 0)
-        part = segments[top : int(rows.max()) + pad + 1, left : int(columns.max()) + pad + 1]
-        inside = np.zeros(part.shape, np.bool_)
-        height, width = part.shape
-        kept = (rows - top < height) & (columns - left < width)
-        inside[rows[kept] - top, columns[kept] - left] = True
-        near = binary_dilation(inside, iterations=_AROUND)
-        count = np.bincount(part[near & (part > TARGET)], minlength=TARGET + 1)
+        """Return the segments with the most pixels about the target's visible part.
+
+        A hidden target counts as one pixel, where it was seen last.
+        """
+        mask = view.mask
+        if not mask.any():
+            mask = np.zeros_like(mask)
+            column, row, _ = view.camera.project(self.grasper.middle(view)[None])[0]
+            mask[round(row), round(column)] = True
+        part = surroundings(mask, _AROUND + 1)
+        near = binary_dilation(mask[part], iterations=_AROUND)
+        numbers = segments[part]
+        count = np.bincount(numbers[near & (numbers > TARGET)], minlength=TARGET + 1)
         order = np.argsort(-count, kind="stable")[: self.config.removals]
         return [int(number) for number in order if count[number]]
 
     def _is_new(self, candidate: Candidate) -> bool:
         away = [np.linalg.norm(candidate.pose[:3] - place) for place in self._removed]
-        return not away or bool(min(away) > _TRIED)
-
-
-_TRIED = 0.015
-"""A removal nearer than this to one that was made is the same [m]."""
-
-
-def _points(view: GraspView) -> tuple[Floats, float]:
-    """Return places (P, 2) [m] of every fourth visible pixel of a segment, and its height [m]."""
-    rows, columns = np.nonzero(view.mask)
-    rows, columns = rows[::4], columns[::4]
-    camera, depth = view.camera, view.depth[rows, columns].astype(np.float64)
-    rays = np.stack(
-        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))],
-        axis=1,
-    )
-    pose = camera.pose
-    points = (rays * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3]
-    return points[:, :2], float(points[:, 2].max())
+        return bool(min(away, default=np.inf) > _SAME)

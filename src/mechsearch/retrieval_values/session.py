@@ -1,7 +1,7 @@
 """All of a run that learns to retrieve that changes while it goes on, and its options."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,32 +13,23 @@ from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, a
 from mechsearch.env.decision import Decision
 from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.trial import from_start, imageless, roll_out
-from mechsearch.files.tensors import Archive, load_archive, save_archive
+from mechsearch.files.tensors import Archive, filled, load_archive, save_archive, tensors_of
 from mechsearch.retrieval.grasper import Candidate, Grasper
+from mechsearch.retrieval.proposing import Propose, once, pushing
 from mechsearch.retrieval_values.policy import RetrievePolicy, RetrievePolicyConfig
 from mechsearch.retrieval_values.value import (
+    OptionSamples,
     RetrievalValue,
     RetrievalValueConfig,
-    Samples,
     fit_options,
-    networks_of,
-    tensors_of,
 )
-from mechsearch.retrieval_values.view import (
-    NUMBERS,
-    PATCH,
-    Option,
-    PushOption,
-    RemovalOption,
-    Views,
-    view_options,
-)
+from mechsearch.retrieval_values.view import Option, PushOption, RemovalOption, view_options
 from mechsearch.types import GRASP_KEYS, Array, MechSearchError, Observation
 
-EPISODES_FOLDER = "options"
+OPTIONS_FOLDER = "options"
 """Folder of a run directory with what its episodes taught."""
 
-_EPISODE_KIND = "mechsearch options"
+_OPTIONS_KIND = "mechsearch options"
 
 _LABEL_PROPOSALS = 60
 """Grasps rated after an option, for its label."""
@@ -97,7 +88,7 @@ class RetrievalValuesSession:
             )
         torch.set_num_threads(run.schedule.threads)
         self.config: RetrievalValuesConfig = run.algorithm
-        self._run, self._folder = run, folder / EPISODES_FOLDER
+        self._run, self._folder = run, folder / OPTIONS_FOLDER
         self._env, self._heaps = setup.env, setup.heaps
         self._twin = imageless(self._env)
         shown = replace(self._env.config, keys=GRASP_KEYS, privileged=False)
@@ -106,7 +97,7 @@ class RetrievalValuesSession:
         self._rater.equip(self._env.config.grippers)
         self.counts = {"executed": 0, "simulated": 0, "episodes": 0, "fits": 0}
         self._rng = np.random.default_rng(run.seed)
-        self._samples: list[Samples] = []
+        self._samples: list[OptionSamples] = []
         self.policy = self._policy(())
 
     def _policy(self, networks: Sequence[RetrievalValue]) -> RetrievePolicy:
@@ -124,7 +115,7 @@ class RetrievalValuesSession:
     def advance(self, until: int) -> Iterator[list[Line]]:
         """Go through an episode, and keep what it taught."""
         samples, summary = self.episode()
-        save_episode(samples, summary, self._file(self.counts["episodes"] - 1))
+        save_options(samples, summary, self._file(self.counts["episodes"] - 1))
         self._samples.append(samples)
         # Episodes are noted under the round number of actions of the next fit.
         step = (self.counts["fits"] + 1) * self._run.schedule.evaluate_every
@@ -137,13 +128,13 @@ class RetrievalValuesSession:
     def _file(self, episode: int) -> Path:
         return self._folder / f"{episode:06d}.safetensors"
 
-    def episode(self) -> tuple[Samples, dict[str, Any]]:
+    def episode(self) -> tuple[OptionSamples, dict[str, Any]]:
         """Go through one episode on a random heap; return what was tried, and its summary."""
         heap, seed = int(self._rng.choice(self._heaps)), int(self._rng.integers(2**31))
         obs, info = self._env.reset(seed=seed, options={"heap": heap})
         self.policy.reset(self._rng)
-        samples, explored = [_nothing()], 0
-        end: str | None = None
+        samples: list[OptionSamples] = []
+        explored, end = 0, None
         while end is None:
             tried = self._tried(obs, seed, samples)
             explores = not self.policy.networks or self._rng.random() < self.config.explore
@@ -160,9 +151,9 @@ class RetrievalValuesSession:
             "removals": info["removals"], "explored": explored,
             "retrieved": float(info["retrieved"]),
         }  # fmt: skip
-        return Samples.joined(samples), summary
+        return OptionSamples.joined(samples), summary
 
-    def _tried(self, obs: Observation, seed: int, samples: list[Samples]) -> list[Option]:
+    def _tried(self, obs: Observation, seed: int, samples: list[OptionSamples]) -> list[Option]:
         """Try options from here, and keep what they came to; return them."""
         policy, view = self.policy, self.policy.grasper.view(obs)
         if not view.mask.any():
@@ -172,8 +163,11 @@ class RetrievalValuesSession:
         tried = self._choose(options, policy.judge(options, situation))
         if tried:
             start = self._env.snapshot()
-            chances, moved = zip(*(self._try(start, each, seed) for each in tried), strict=True)
-            samples.append(Samples.of(view_options(tried, situation), chances, moved))
+            came_to = [self._try(start, each, seed) for each in tried]
+            learnt = [i for i, found in enumerate(came_to) if found is not None]
+            views = view_options([tried[i] for i in learnt], situation)
+            found = np.array([came_to[i] for i in learnt], np.float64).reshape(-1, 2)
+            samples.append(OptionSamples.of(views, *found.T.tolist()))
         return tried
 
     def _explored(self, obs: Observation, tried: Sequence[Option]) -> Option | Candidate:
@@ -196,11 +190,18 @@ class RetrievalValuesSession:
         chosen = [*order[:ranked], *(rest[i] for i in drawn)]
         return [*removals, *(options[i] for i in chosen)]
 
-    def _try(self, start: dict[str, Array], option: Option, seed: int) -> tuple[float, float]:
-        """Return the chance of the best grasp after an option, and the clutter that it moved."""
+    def _try(
+        self, start: dict[str, Array], option: Option, seed: int
+    ) -> tuple[float, float] | None:
+        """Return the chance of the best grasp after an option, and the clutter that it moved.
+
+        Nothing is learnt where it was cut off or the simulator failed.
+        """
         obs = self._twin.restore(from_start(start))
         rollout = roll_out(self._twin, obs, _proposed(option))
         self.counts["simulated"] += len(rollout.actions)
+        if rollout.end not in (None, "retrieved", "lost"):
+            return None
         if rollout.end is not None:
             return float(rollout.end == "retrieved"), rollout.clutter_moved
         # The same proposals for every option: what differs is the heap.
@@ -212,11 +213,13 @@ class RetrievalValuesSession:
         best = grasps[0]
         info = self._twin.step(Decision.grasp(best.pose, best.gripper).vector())[4]
         self.counts["simulated"] += 1
+        if info["failure"] is not None:
+            return None
         return (best.quality + float(info["retrieved"])) / 2, rollout.clutter_moved
 
     def fit(self) -> dict[str, float]:
         """Fit new networks to everything remembered; return what the log notes."""
-        samples = Samples.joined(self._samples)
+        samples = OptionSamples.joined(self._samples)
         networks, losses = [], []
         for i in range(self.config.networks if len(samples) else 0):
             seed = int(
@@ -228,12 +231,8 @@ class RetrievalValuesSession:
             networks.append(network)
         self.policy = self._policy(networks)
         self.counts["fits"] += 1
-        found = {"loss": float(np.mean(losses)) if losses else float("nan")}
-        return {
-            **found,
-            "options": float(len(samples)),
-            **{k: float(v) for k, v in self.counts.items()},
-        }
+        loss = {"loss": float(np.mean(losses))} if losses else {}
+        return {**loss, "options": len(samples), **self.counts}
 
     def archive(self) -> tuple[NamedTensors, dict[str, Any]]:
         """Return tensors and JSON that `restore` takes back."""
@@ -248,42 +247,32 @@ class RetrievalValuesSession:
         """
         self.counts = {**self.counts, **facts["counts"]}
         self._rng.bit_generator.state = json.loads(facts["generator"])
+        # Where nothing could be tried, nothing was fitted.
         count = self.config.networks if tensors else 0
-        self.policy = self._policy(networks_of(tensors, count, self.config.value))
+        networks = [RetrievalValue(self.config.value) for _ in range(count)]
+        self.policy = self._policy(filled(networks, tensors))
         for number in range(self.counts["episodes"]):
-            self._samples.append(load_episode(self._file(number)))
+            self._samples.append(load_options(self._file(number)))
 
 
-def _proposed(decided: Option | Candidate) -> Callable[[Observation], Array | None]:
+def _proposed(decided: Option | Candidate) -> Propose:
     """Return what proposes a decision's vectors one after the other."""
     if isinstance(decided, PushOption):
-        planned = decided.begun()
-
-        def push(obs: Observation) -> Array | None:
-            action = planned.act(obs)
-            return None if action is None else Decision.push(action).vector()
-
-        return push
-    grasp = decided.grasp if isinstance(decided, RemovalOption) else decided
-    kind = Decision.remove if isinstance(decided, RemovalOption) else Decision.grasp
-    left: list[Array] = [kind(grasp.pose, grasp.gripper).vector()]
-    return lambda obs: left.pop() if left else None
+        return pushing(decided.begun())
+    if isinstance(decided, RemovalOption):
+        return once(Decision.remove(decided.grasp.pose, decided.grasp.gripper))
+    return once(Decision.grasp(decided.pose, decided.gripper))
 
 
-def _nothing() -> Samples:
-    views = Views(np.zeros((0, *PATCH), np.float16), np.zeros((0, NUMBERS), np.float32))
-    return Samples.of(views, [], [])
-
-
-def save_episode(samples: Samples, summary: Mapping[str, Any], path: Path) -> None:
+def save_options(samples: OptionSamples, summary: Mapping[str, Any], path: Path) -> None:
     """Write what an episode taught, whole or not at all."""
-    save_archive(path, Archive(_EPISODE_KIND, vars(samples), {"summary": dict(summary)}))
+    save_archive(path, Archive(_OPTIONS_KIND, vars(samples), {"summary": dict(summary)}))
 
 
-def load_episode(path: Path) -> Samples:
+def load_options(path: Path) -> OptionSamples:
     """Read what an episode taught.
 
     Raises:
         MechSearchError: If the file is missing or damaged.
     """
-    return Samples(**dict(load_archive(path, _EPISODE_KIND).tensors))
+    return OptionSamples(**dict(load_archive(path, _OPTIONS_KIND).tensors))

@@ -1,6 +1,6 @@
 """What a push or a removal will make of the target's best grasp, and how much clutter it moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from mechsearch.files.tensors import fill, part, prefixed
-from mechsearch.retrieval_values.view import MIRRORED_NUMBERS, NUMBERS, PATCH, Views
+from mechsearch.retrieval_values.view import (
+    MIRRORED_OPTION_NUMBERS,
+    NO_OPTIONS,
+    OPTION_NUMBERS,
+    OPTION_PATCH,
+    OptionViews,
+)
 from mechsearch.types import MechSearchError
 
 _CLUTTER = 0.02
@@ -52,7 +57,7 @@ class RetrievalValueConfig:
 
 
 @dataclass(frozen=True)
-class Outcomes:
+class OptionOutcomes:
     """What options (n,) came to.
 
     Attributes:
@@ -65,12 +70,12 @@ class Outcomes:
 
 
 @dataclass(frozen=True)
-class Samples:
+class OptionSamples:
     """Options that were tried, and what they came to, as tensors.
 
     Attributes:
-        patches: (N, *PATCH).
-        numbers: (N, NUMBERS).
+        patches: (N, *OPTION_PATCH).
+        numbers: (N, OPTION_NUMBERS).
         chance: Afterwards (N,).
         clutter: Moved (N,) [m].
         decision: Number of the decision (N,), in order: its options were tried from one state.
@@ -83,7 +88,9 @@ class Samples:
     decision: Tensor
 
     @classmethod
-    def of(cls, views: Views, chances: Sequence[float], clutter: Sequence[float]) -> "Samples":
+    def of(
+        cls, views: OptionViews, chances: Sequence[float], clutter: Sequence[float]
+    ) -> "OptionSamples":
         """Return the n options of one decision."""
         return cls(
             torch.from_numpy(views.patches),
@@ -94,8 +101,9 @@ class Samples:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence["Samples"]) -> "Samples":
-        """Return all samples of several parts, their decisions numbered on."""
+    def joined(cls, parts: Sequence["OptionSamples"]) -> "OptionSamples":
+        """Return all samples of several parts, if any, their decisions numbered on."""
+        parts = (cls.of(NO_OPTIONS, [], []), *parts)
         names = ("patches", "numbers", "chance", "clutter")
         rows, begun = [], 0
         for own in parts:
@@ -116,14 +124,14 @@ class RetrievalValue(nn.Module):
         self.config = config
         wide, (first, second) = 2 * config.filters, config.hidden
         self.tower = nn.Sequential(
-            nn.Conv2d(PATCH[0], config.filters, 4, 2, 1), nn.ReLU(),
+            nn.Conv2d(OPTION_PATCH[0], config.filters, 4, 2, 1), nn.ReLU(),
             nn.Conv2d(config.filters, wide, 3, 2, 1), nn.ReLU(),
             nn.Conv2d(wide, wide, 3, 2, 1), nn.ReLU(),
             nn.Flatten(), nn.Dropout(config.dropout),
         )  # fmt: skip
-        pixels = (PATCH[1] // 8) * (PATCH[2] // 8)
+        pixels = (OPTION_PATCH[1] // 8) * (OPTION_PATCH[2] // 8)
         self.dense = nn.Sequential(
-            nn.Linear(wide * pixels + NUMBERS, first), nn.ReLU(), nn.Dropout(config.dropout),
+            nn.Linear(wide * pixels + OPTION_NUMBERS, first), nn.ReLU(), nn.Dropout(config.dropout),
             nn.Linear(first, second), nn.ReLU(), nn.Linear(second, 2),
         )  # fmt: skip
         self.to(memory_format=torch.channels_last)
@@ -135,35 +143,13 @@ class RetrievalValue(nn.Module):
         return out
 
     @torch.inference_mode()
-    def predict(self, patches: Tensor, numbers: Tensor) -> Outcomes:
+    def predict(self, patches: Tensor, numbers: Tensor) -> OptionOutcomes:
         """Return what options are expected to come to."""
         out = self(patches, numbers)
-        return Outcomes(torch.sigmoid(out[:, 0]), _CLUTTER * out[:, 1].clamp(min=0))
+        return OptionOutcomes(torch.sigmoid(out[:, 0]), _CLUTTER * out[:, 1].clamp(min=0))
 
 
-def tensors_of(networks: Sequence[RetrievalValue]) -> dict[str, Tensor]:
-    """Return the weights of networks by their place and name, as `networks_of` takes them."""
-    tensors: dict[str, Tensor] = {}
-    for i, network in enumerate(networks):
-        tensors |= prefixed(str(i), network.state_dict())
-    return tensors
-
-
-def networks_of(
-    tensors: Mapping[str, Tensor], count: int, config: RetrievalValueConfig
-) -> list[RetrievalValue]:
-    """Return the networks whose weights `tensors_of` returned.
-
-    Raises:
-        MechSearchError: If they are of other networks.
-    """
-    networks = [RetrievalValue(config) for _ in range(count)]
-    for i, network in enumerate(networks):
-        fill(network, part(tensors, str(i)))
-    return networks
-
-
-def fit_options(network: RetrievalValue, samples: Samples, seed: int) -> float:
+def fit_options(network: RetrievalValue, samples: OptionSamples, seed: int) -> float:
     """Fit a network to outcomes; return the last epoch's mean loss.
 
     All options of a decision are seen together, each mirrored at random. What counts most is how
@@ -194,7 +180,7 @@ def fit_options(network: RetrievalValue, samples: Samples, seed: int) -> float:
         group = torch.from_numpy(np.repeat(np.arange(each), [len(own) for own in chosen]))
         patches, numbers = _mirrored(samples, rows, torch.from_numpy(rng.random(len(rows)) < 0.5))
         out = network(patches, numbers)
-        loss = _loss(out, samples.chance[rows], samples.clutter[rows], group, config.within)
+        loss = option_loss(out, samples.chance[rows], samples.clutter[rows], group, config.within)
         optimizer.zero_grad()
         torch.autograd.backward(loss)
         optimizer.step()
@@ -204,21 +190,32 @@ def fit_options(network: RetrievalValue, samples: Samples, seed: int) -> float:
     return float(np.mean(losses[-max(len(groups) // each, 1) :]))
 
 
-def _mirrored(samples: Samples, rows: Tensor, flip: Tensor) -> tuple[Tensor, Tensor]:
+def _mirrored(samples: OptionSamples, rows: Tensor, flip: Tensor) -> tuple[Tensor, Tensor]:
     patches, numbers = samples.patches[rows], samples.numbers[rows]
     patches = torch.where(flip[:, None, None, None], patches.flip(-2), patches)
-    signs = torch.ones(NUMBERS)
-    signs[list(MIRRORED_NUMBERS)] = -1
+    signs = torch.ones(OPTION_NUMBERS)
+    signs[list(MIRRORED_OPTION_NUMBERS)] = -1
     return patches, torch.where(flip[:, None], numbers * signs, numbers)
 
 
-def _loss(out: Tensor, chance: Tensor, clutter: Tensor, group: Tensor, within: float) -> Tensor:
+def option_loss(
+    out: Tensor, chance: Tensor, clutter: Tensor, decision: Tensor, within: float
+) -> Tensor:
+    """Return how far a network is off what options (B,) came to.
+
+    Args:
+        out: Its output (B, 2).
+        chance: What they came to (B,); see `OptionSamples`.
+        clutter: Likewise (B,) [m].
+        decision: Number of the decision (B,), from 0 on.
+        within: Weight of how options of one decision differ, beside what each comes to.
+    """
     off = torch.sigmoid(out[:, 0]) - chance
-    count = torch.zeros(int(group.max()) + 1).index_add(0, group, torch.ones(len(group)))
-    mean = torch.zeros(len(count)).index_add(0, group, off) / count
+    count = torch.zeros(int(decision.max()) + 1).index_add(0, decision, torch.ones(len(decision)))
+    mean = torch.zeros(len(count)).index_add(0, decision, off) / count
     moved = (clutter / _CLUTTER).clamp(max=_MOST_CLUTTER)
     return (
         functional.binary_cross_entropy_with_logits(out[:, 0], chance)
-        + within * (off - mean[group]).square().mean()
+        + within * (off - mean[decision]).square().mean()
         + functional.huber_loss(out[:, 1], moved)
     )

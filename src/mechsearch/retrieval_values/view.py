@@ -12,19 +12,19 @@ from mechsearch.pushes.view import PlannedPush, Sight
 from mechsearch.retrieval.grasper import Candidate
 from mechsearch.types import Array, Floats
 
-PATCH = (5, 40, 40)
+OPTION_PATCH = (5, 40, 40)
 """Channels, rows and columns of a patch about the middle of the target's visible part. Along a row
 a push goes forward, or the removed object lies; the channels are the height over the table in
 decimetres, the visible target, the best chance of the grasps in each cell, the path or what is
 removed, and how far all rises over the fingertip, in decimetres, 0 for removals."""
 
-CELL = 0.006
+_CELL = 0.006
 """Side of a patch's cell [m]."""
 
-NUMBERS = 13
+OPTION_NUMBERS = 13
 """How many numbers describe a decision beside its patch."""
 
-MIRRORED_NUMBERS = (8,)
+MIRRORED_OPTION_NUMBERS = (8,)
 """Which of them change their sign where left and right are exchanged."""
 
 _BESIDE = 0.02
@@ -104,26 +104,32 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class OptionViews:
     """How n options look in one situation.
 
     Attributes:
-        patches: (n, *PATCH) float16.
-        numbers: (n, NUMBERS) float32.
+        patches: (n, *OPTION_PATCH) float16.
+        numbers: (n, OPTION_NUMBERS) float32.
     """
 
     patches: NDArray[np.float16]
     numbers: NDArray[np.float32]
 
 
-def view_options(options: Sequence[Option], situation: Situation) -> Views:
+NO_OPTIONS = OptionViews(
+    np.zeros((0, *OPTION_PATCH), np.float16), np.zeros((0, OPTION_NUMBERS), np.float32)
+)
+"""How nothing looks."""
+
+
+def view_options(options: Sequence[Option], situation: Situation) -> OptionViews:
     """Return how options look."""
     along = np.array([_along(option, situation) for option in options]).reshape(-1, 2)
-    patches = np.zeros((len(options), *PATCH), np.float16)
+    patches = np.zeros((len(options), *OPTION_PATCH), np.float16)
     if len(options):
         _fill(patches, options, along, situation)
     numbers = np.array([_numbers(option, situation) for option in options], np.float32)
-    return Views(patches, numbers.reshape(-1, NUMBERS))
+    return OptionViews(patches, numbers.reshape(-1, OPTION_NUMBERS))
 
 
 def _fill(
@@ -131,7 +137,7 @@ def _fill(
 ) -> None:
     heights, middle = situation.heights, situation.middle
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    steps = (np.arange(PATCH[2]) - (PATCH[2] - 1) / 2) * CELL
+    steps = (np.arange(OPTION_PATCH[2]) - (OPTION_PATCH[2] - 1) / 2) * _CELL
     v, u = np.meshgrid(steps, steps, indexing="ij")
     places = middle + u[..., None] * along[:, None, None] + v[..., None] * left[:, None, None]
     cells = heights.cells(places[..., 0], places[..., 1])
@@ -149,20 +155,20 @@ def _fill(
 
 def _chances(grasps: Sequence[Candidate], along: Floats, left: Floats, middle: Floats) -> Floats:
     """Return the best chance of the grasps in each cell (n, 40, 40)."""
-    chances = np.zeros((len(along), PATCH[1] * PATCH[2]))
+    chances = np.zeros((len(along), OPTION_PATCH[1] * OPTION_PATCH[2]))
     if grasps:
         places = np.array([g.pose[:2] for g in grasps]) - middle
         quality = np.array([g.quality for g in grasps])
         for i in range(len(along)):
             np.maximum.at(chances[i], _cells_of(places, along[i], left[i]), quality)
-    return chances.reshape(-1, *PATCH[1:])
+    return chances.reshape(-1, *OPTION_PATCH[1:])
 
 
 def _cells_of(offsets: Floats, along: Floats, left: Floats) -> Array:
     """Return flat indices of the patch's cells that points (P, 2) off its middle are in."""
-    size = PATCH[2]
-    column = np.clip(np.rint(offsets @ along / CELL + (size - 1) / 2), 0, size - 1)
-    row = np.clip(np.rint(offsets @ left / CELL + (size - 1) / 2), 0, size - 1)
+    size = OPTION_PATCH[2]
+    column = np.clip(np.rint(offsets @ along / _CELL + (size - 1) / 2), 0, size - 1)
+    row = np.clip(np.rint(offsets @ left / _CELL + (size - 1) / 2), 0, size - 1)
     return np.asarray((row * size + column).astype(np.intp))
 
 
@@ -188,7 +194,8 @@ def _along(option: Option, situation: Situation) -> Floats:
 def _numbers(option: Option, situation: Situation) -> list[float]:
     heights, best = situation.heights, situation.chance
     visible = heights.cell * float(np.sqrt(heights.target.sum()))
-    top = float(heights.height[heights.target].max())
+    # A target of few pixels may be in no cell.
+    top = float(heights.height[heights.target].max(initial=0.0))
     shared = [2 * best, 20 * visible, 10 * top, float(len(situation.grasps)) / 50]
     if isinstance(option, RemovalOption):
         away = float(np.linalg.norm(option.place.mean(axis=0) - situation.middle))

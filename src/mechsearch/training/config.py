@@ -54,7 +54,8 @@ def _presets() -> Mapping[str, Run]:
 
 
 PRESETS = _presets()
-"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), and `debug`."""
+"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), `retrieve` (pushes,
+removals and grasps), and `debug`."""
 
 
 def run_config(name: str) -> Run:

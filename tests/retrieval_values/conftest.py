@@ -1,0 +1,5 @@
+"""Whatever learns to retrieve needs PyTorch."""
+
+import pytest
+
+pytest.importorskip("torch")
