@@ -17,6 +17,9 @@ _AROUND = 24
 _SEATED = 4.0
 """Force with which a cup is pressed on before the vacuum is drawn [N]."""
 
+_DRAWING = 0.1
+"""Time for which the cup stands on what it seals before it lifts it [s]."""
+
 _DAMPED = 4
 """Steps over which soft bellows spread a jerk."""
 
@@ -143,6 +146,7 @@ class SuctionTest:
         if sealed is None:
             return Outcome.NO_SEAL
         self._sealed = sealed
+        self._draw()
         bears = self._lift()
         if rig.unsound():
             return Outcome.FAILURE
@@ -178,6 +182,12 @@ class SuctionTest:
                 return touched
         return rig.touched()
 
+    def _draw(self) -> None:
+        """Stand while the vacuum is drawn: a jerk of landing must not break the seal."""
+        height = self._rig.height
+        for _ in range(self._config.steps(_DRAWING)):
+            self._step("seal", height)
+
     def _lift(self) -> bool:
         """Lift; return False as soon as the seal breaks."""
         config = self._config
@@ -193,7 +203,8 @@ class SuctionTest:
         config = self._config
         for step in range(config.steps(config.shaking)):
             seconds = (step + 1) * config.physics.time_step
-            sway = config.shake * np.sin(2 * np.pi * config.frequency * seconds)
+            # From rest: a sine would begin with a jerk.
+            sway = config.shake * (np.cos(2 * np.pi * config.frequency * seconds) - 1)
             self._step("shake", config.height + sway)
             if self._breaks():
                 return False
