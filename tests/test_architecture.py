@@ -117,7 +117,7 @@ ADDITIONS = {
         )
     },
     "algorithm": {
-        "training/algorithms.py": (
+        "training/config.py": (
             '    "actor-critic": ActorCritic,\n',
             '    "actor-critic": ActorCritic,\n    "waiting": Waiting,\n',
         )
@@ -183,9 +183,9 @@ def house(tmp_path_factory):
             (package / name).write_text(text)
     teachers = package / "teachers.py"
     teachers.write_text("import numpy as np\n" + teachers.read_text())
-    algorithms = package / "training" / "algorithms.py"
+    config = package / "training" / "config.py"
     line = "from mechsearch.waiting.algorithm import Waiting\n"
-    algorithms.write_text(line + algorithms.read_text())
+    config.write_text(line + config.read_text())
     (place / "users.py").write_text(POLICY)
     return place
 

@@ -5,16 +5,25 @@ import pytest
 import torch
 
 from mechsearch.grasp.learning.grasp_folder import MANIFEST_FILE, OUTCOMES
-from mechsearch.grasp.learning.labelling import load_grasps
+from mechsearch.grasp.learning.labelling import (
+    TrialConfig,
+    Trials,
+    label_trials,
+    load_grasps,
+    load_trials,
+)
 from mechsearch.grasp.learning.metrics import judge
-from mechsearch.grasp.learning.quality_training import predict, train_quality_network
 from mechsearch.grasp.learning.states import KINDS, states_of
-from mechsearch.grasp.learning.training import NETWORK_FILE, GraspTrainConfig
-from mechsearch.grasp.learning.trials import TrialConfig, Trials, label_trials, load_trials
+from mechsearch.grasp.learning.training import (
+    NETWORK_FILE,
+    GraspTrainConfig,
+    predict_trials,
+    train_quality_network,
+)
+from mechsearch.grasp.network import ready
 from mechsearch.grasp.quality_network import (
     QualityNetwork,
     load_quality_network,
-    ready,
     save_quality_network,
 )
 from mechsearch.heaps.generate import GenerateConfig, generate
@@ -133,7 +142,7 @@ def test_a_network_learns_from_soft_labels_which_way_to_close(tmp_path):
     assert history[-1]["loss"] < history[0]["loss"]
     fresh = synthetic(200, seed=7)
     network = load_quality_network("jaws-56", tmp_path / NETWORK_FILE)
-    verdict = judge(predict(network, fresh), fresh.won[:, 0])
+    verdict = judge(predict_trials(network, fresh), fresh.won[:, 0])
     assert verdict.auc > 0.9
 
 

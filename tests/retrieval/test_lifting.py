@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from mechsearch.evaluation.episodes import CEILING_METRICS, HIGHER_IS_BETTER
-from mechsearch.grasp.quality_network import QualityNetwork, ready, save_quality_network
+from mechsearch.grasp.network import ready
+from mechsearch.grasp.quality_network import QualityNetwork, save_quality_network
 from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.lifting import (

@@ -19,7 +19,7 @@ from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher
 from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
 
-TRAINED_LOADER = "mechsearch.training.policies:load_policy"
+TRAINED_LOADER = "mechsearch.training.run_directory:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 RETRIEVAL = {
@@ -27,7 +27,7 @@ RETRIEVAL = {
     "uncover-then-grasp": "mechsearch.retrieval.policies:UncoverThenGrasp",
     "uncover-then-grasp-dual": "mechsearch.retrieval.policies:uncover_then_grasp_dual",
     "clear-then-grasp": "mechsearch.retrieval.policies:ClearThenGrasp",
-    "retrieve-oracle": "mechsearch.retrieval.oracle:RetrieveOracle",
+    "retrieve-oracle": "mechsearch.retrieval.policies:RetrieveOracle",
 }
 """Baselines and ceiling of retrieval; they rate grasps, which needs the `learn` extra."""
 

@@ -39,8 +39,8 @@ from mechsearch.findings.scores import compact, episode_files, load_scores, scor
 from mechsearch.heaps.dataset import HeapSet, load_heaps
 from mechsearch.heaps.generate import generate
 from mechsearch.training.config import load_config
-from mechsearch.training.policies import load_policy
 from mechsearch.training.run import train
+from mechsearch.training.run_directory import load_policy
 from mechsearch.types import MechSearchError
 
 GraspAssessor = Callable[[Evaluation], Evaluation]

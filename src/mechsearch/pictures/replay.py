@@ -12,7 +12,7 @@ from mechsearch.env.task import RetrieveConfig, task_from_json
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.pictures.moments import (
+from mechsearch.pictures.film import (
     FILMS_ALONE,
     PHASES,
     Hands,

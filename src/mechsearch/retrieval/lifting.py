@@ -20,8 +20,13 @@ from mechsearch.evaluation.episodes import (
     SummaryRow,
     share_interval,
 )
-from mechsearch.grasp.grasp_view import GraspView, grasp_renderer, see_heap, segment_view
-from mechsearch.grasp.height_map import height_map
+from mechsearch.grasp.grasp_view import (
+    GraspView,
+    grasp_renderer,
+    height_map,
+    see_heap,
+    segment_view,
+)
 from mechsearch.grasp.learning.states import KINDS, states_of
 from mechsearch.grasp.planner import LEAST_VISIBLE, GraspPlanner, propose
 from mechsearch.heaps.dataset import Heap, object_set
