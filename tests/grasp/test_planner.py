@@ -17,8 +17,8 @@ from mechsearch.grasp.quality_network import (
     save_quality_network,
 )
 from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.lift import LiftWorld, Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.sim.lift import LiftWorld
+from mechsearch.types import MechSearchError, Outcome
 
 JAWS = gripper_named("jaws-85")
 

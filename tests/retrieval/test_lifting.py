@@ -22,8 +22,7 @@ from mechsearch.retrieval.lifting import (
 )
 from mechsearch.sim.gripper import GRIPPERS
 from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 CONFIG = CeilingConfig(rated=3, geometric=20)
 

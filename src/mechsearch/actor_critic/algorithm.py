@@ -25,7 +25,7 @@ from mechsearch.actor_critic.networks import Actor, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.actor_critic.replay import Replay
 from mechsearch.algorithm import Env, Line, NamedTensors, RunConfig, TrainingSetup, at_least
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import TaskConfig
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import fill, part, prefixed
 from mechsearch.teachers import PAPER_TEACHERS, check_teacher

@@ -1,4 +1,4 @@
-"""`mechsearch grasp label`, `train`, `test`, with `--gripper` too, and `calibrate`; all need PyTorch."""
+"""`mechsearch grasp label`, `train`, `test`, `calibrate`, by gripper too; all need PyTorch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field

@@ -53,9 +53,8 @@ from mechsearch.retrieval.lifting import (
     lift_targets,
     reach_of,
 )
-from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.sim import gripper_named
+from mechsearch.types import MechSearchError, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
-from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
-from mechsearch.env.trial import Rollout, imageless, roll_out
+from mechsearch.env import (
+    HeapEnv,
+    RetrievalTask,
+    Rollout,
+    TaskConfig,
+    imageless,
+    roll_out,
+    task_from_json,
+)
 from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.env.task import HeapEnvConfig, task_from_json
+from mechsearch.env import HeapEnvConfig, task_from_json
 from mechsearch.evaluation.episodes import (
     Evaluation,
     load_episodes,

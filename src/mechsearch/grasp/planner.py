@@ -9,7 +9,7 @@ from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, HeightMap, height_map
 from mechsearch.grasp.proposals import antipodal, propose_jaws, propose_suction
 from mechsearch.grasp.quality_network import QualityNetwork, aligned, load_quality_network
-from mechsearch.sim.gripper import Gripper, SuctionCup, gripper_named
+from mechsearch.sim import Gripper, SuctionCup, gripper_named
 from mechsearch.types import Floats
 
 PROPOSALS = 100

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.grasp.grasp_view import ANGLES, GraspView, HeightMap, ImageGrasp, bin_angle
-from mechsearch.sim.gripper import Gripper
+from mechsearch.sim import Gripper
 from mechsearch.types import Array, Floats
 
 _EACH = 128

@@ -12,7 +12,7 @@ from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import HeightMap
 from mechsearch.grasp.network import ready
-from mechsearch.sim.gripper import Gripper, SuctionCup, gripper_named
+from mechsearch.sim import Gripper, SuctionCup, gripper_named
 from mechsearch.types import Array, Floats, MechSearchError
 
 GRASP_NUMBERS = 6

@@ -1,8 +1,9 @@
 """Recorded episodes as pictures and films: target green, path of the end effector blue.
 
 Poses are rendered again, so a picture of any size can be made from the record alone. In retrieval
-the gripper is in the picture while it grasps. Films are GIF with Pillow alone, or MP4 with the
-`video` extra.
+the gripper is in the picture while it grasps: open, where it was to close (`recorded`), or all the
+way where the decisions are carried out again (`pictures.replay`). Films are GIF with Pillow alone,
+or MP4 with the `video` extra.
 """
 
 import importlib.util
@@ -21,8 +22,7 @@ from mechsearch.files import write_whole
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import SMOOTHING, captioned, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.gripper import AnyGripper, gripper_named, open_parts
-from mechsearch.sim.scene import Pusher, pusher_model
+from mechsearch.sim import AnyGripper, Pusher, gripper_named, open_parts, pusher_model
 from mechsearch.types import DECISION_NAMES, PUSH, USED_UP, Array, Floats, MechSearchError
 
 PHASES = {"close": 1, "lift": 2, "descend": 2}

@@ -10,9 +10,7 @@ import numpy as np
 import torch
 
 from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, at_least
-from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.task import TaskConfig
-from mechsearch.env.trial import Rollout, from_start, imageless, roll_out
+from mechsearch.env import HeapEnv, Rollout, TaskConfig, from_start, imageless, roll_out
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import Archive, filled, load_archive, save_archive, tensors_of
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig

@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import preset
-from mechsearch.env.reward import RewardConfig
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import RewardConfig, TaskConfig
 from mechsearch.push_values.value import Continuation, PushValue
 from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation

@@ -12,10 +12,16 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from mechsearch.camera import preset
-from mechsearch.env.decision import Decision
-from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.task import TaskConfig
-from mechsearch.env.trial import Rollout, imageless, once, pushing, roll_out
+from mechsearch.env import (
+    Decision,
+    RetrieveEnv,
+    Rollout,
+    TaskConfig,
+    imageless,
+    once,
+    pushing,
+    roll_out,
+)
 from mechsearch.evaluation.policies import RETRIEVE, make_policy
 from mechsearch.grasp.grasp_view import GraspView, surroundings
 from mechsearch.grasp.planner import RatedGrasps

@@ -10,10 +10,18 @@ import numpy as np
 import torch
 
 from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, at_least
-from mechsearch.env.decision import Decision
-from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.task import RetrievalTask, TaskConfig
-from mechsearch.env.trial import Propose, from_start, imageless, once, pushing, roll_out
+from mechsearch.env import (
+    Decision,
+    Propose,
+    RetrievalTask,
+    RetrieveEnv,
+    TaskConfig,
+    from_start,
+    imageless,
+    once,
+    pushing,
+    roll_out,
+)
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import Archive, filled, load_archive, save_archive, tensors_of
 from mechsearch.retrieval.grasper import Candidate, Grasper

@@ -10,8 +10,7 @@ from scipy.ndimage import binary_dilation
 
 from mechsearch.algorithm import at_least
 from mechsearch.camera import preset
-from mechsearch.env.decision import Decision
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import Decision, TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
 from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look

@@ -9,7 +9,7 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.algorithm import Algorithm, RunConfig, Schedule
 from mechsearch.entry_point import is_entry_point, load_entry_point
-from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
+from mechsearch.env import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.retrieval_values.algorithm import RetrievalValues

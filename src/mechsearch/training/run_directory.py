@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mechsearch.algorithm import Algorithm, NamedTensors, RunConfig
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import TaskConfig
 from mechsearch.evaluation.policies import goal_of
 from mechsearch.evaluation.rollout import Equipped
 from mechsearch.files import (

@@ -53,11 +53,16 @@ from mechsearch.grasp.quality_network import (
 )
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, silent
-from mechsearch.sim.gripper import Gripper, gripper_named
-from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import LiftWorld, Outcome, Perturbation, perturbed
-from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import Floats, MechSearchError
+from mechsearch.sim import (
+    ENGINE_VERSION,
+    Gripper,
+    GripperWorld,
+    LiftWorld,
+    Perturbation,
+    gripper_named,
+    perturbed,
+)
+from mechsearch.types import Floats, MechSearchError, Outcome
 
 _LEAST_VISIBLE = 16
 """Pixels of an object from which grasps are proposed on it."""
@@ -230,7 +235,7 @@ class Trials(LabelledGrasps):
         planned: What it came to, executed exactly: index in `OUTCOMES` (n,) uint8.
         noisy: Likewise, executed with errors of place, direction and friction.
         quality: As a network rated it (n,) float32; not a number for a random proposal.
-        state: Kind of the state, index in `states.KINDS` (n,) uint8.
+        state: Kind of the state, index in `states.STATE_KINDS` (n,) uint8.
         heap: Seed of the heap (n,) int64.
         object: Name of the object to lift (n,), text.
     """
