@@ -23,7 +23,7 @@ from mechsearch.actor_critic.networks import Actor, Encoder, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.files import POLICY_FILE, write_json
-from mechsearch.training.policies import save_policy, trained
+from mechsearch.training.run_directory import save_policy, trained
 
 ALGORITHMS = {"ddpg": DDPG, "td3": TD3, "sac": SAC}
 

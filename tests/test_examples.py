@@ -8,7 +8,7 @@ import pytest
 import mechsearch
 from mechsearch.cli import main
 from mechsearch.evaluation.episodes import load_episodes
-from mechsearch.training.policies import load_policy
+from mechsearch.training.run_directory import load_policy
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("0*.py"))

@@ -7,7 +7,7 @@ import pytest
 from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.training.policies import load_policy, save_policy, trained
+from mechsearch.training.run_directory import load_policy, save_policy, trained
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "04_stable_baselines.py"
 

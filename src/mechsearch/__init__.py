@@ -15,10 +15,16 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from mechsearch.env.heap_env import HeapEnv, make_env
-    from mechsearch.env.retrieve_env import RetrieveEnv, make_retrieve_env
-    from mechsearch.env.reward import RewardConfig
-    from mechsearch.env.task import HeapEnvConfig, RetrieveConfig, TaskConfig
+    from mechsearch.env import (
+        HeapEnv,
+        HeapEnvConfig,
+        RetrieveConfig,
+        RetrieveEnv,
+        RewardConfig,
+        TaskConfig,
+        make_env,
+        make_retrieve_env,
+    )
     from mechsearch.env.vector.vector_env import VectorHeapEnv, make_vector_env
     from mechsearch.evaluation.policies import make_policy
     from mechsearch.evaluation.rollout import evaluate

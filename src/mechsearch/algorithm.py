@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, Self, Type
 
 import gymnasium
 
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import TaskConfig
 from mechsearch.teachers import Teacher
 from mechsearch.types import Array, MechSearchError, Policy
 

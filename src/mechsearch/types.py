@@ -1,6 +1,7 @@
 """Records, names and protocols that cross the borders between packages."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -49,6 +50,20 @@ DECISION_SIZE = 9
 
 USED_UP = "used up"
 """Outcome of a decision of a kind of which none was left: it was not carried out."""
+
+
+class Outcome(StrEnum):
+    """What became of one grasp."""
+
+    SUCCESS = "success"
+    BLOCKED = "blocked"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    DROPPED = "dropped"
+    WRONG_OBJECT = "wrong object"
+    TWO_OBJECTS = "two objects"
+    FAILURE = "failure"
+    NO_SEAL = "no seal"
 
 
 class MechSearchError(Exception):

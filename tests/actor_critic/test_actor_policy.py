@@ -6,7 +6,7 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.training.policies import load_policy, save_policy, trained
+from mechsearch.training.run_directory import load_policy, save_policy, trained
 from mechsearch.types import ACTOR_KEYS, MechSearchError, Policy
 
 SHAPES = {"depth": (1, 16, 16), "position_image": (3, 16, 16), "ee_position": (3,)}

@@ -13,9 +13,8 @@ from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.task import RetrievalReward, RetrieveConfig
 from mechsearch.env.trial import from_start, imageless
 from mechsearch.sim.gripper_world import Attempt, GripperWorld
-from mechsearch.sim.lift import Outcome
 from mechsearch.sim.scene import Pusher
-from mechsearch.types import PRIVILEGED_KEYS, RETRIEVAL_KEYS, TEACHER_KEYS, MechSearchError
+from mechsearch.types import PRIVILEGED_KEYS, RETRIEVAL_KEYS, TEACHER_KEYS, MechSearchError, Outcome
 
 FIXED = {"heap": 0, "fixed_start": True}
 DOWN = (1.0, 0.0, 0.0, 0.0)

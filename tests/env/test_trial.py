@@ -4,8 +4,7 @@ import pytest
 from mechsearch.camera import preset
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.env.trial import from_start, imageless, roll_out
-from mechsearch.pushes.push import draw_pushes
-from mechsearch.pushes.view import PlannedPush, look
+from mechsearch.pushes.push import PlannedPush, draw_pushes, look
 from mechsearch.teachers import make_teacher
 from mechsearch.types import TEACHER_KEYS
 

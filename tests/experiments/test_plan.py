@@ -6,9 +6,17 @@ pytest.importorskip("torch")
 
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.journal import BEGAN, ENDED, FAILED, History, Journal, status
 from mechsearch.experiments.plan import QUICK, VARIANTS, SweepPlan, open_plan, read_plan
-from mechsearch.experiments.schedule import chains_of, next_wave
+from mechsearch.experiments.sweep import (
+    BEGAN,
+    ENDED,
+    FAILED,
+    History,
+    Journal,
+    chains_of,
+    next_wave,
+    status,
+)
 from mechsearch.files import read_record, write_record
 from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError

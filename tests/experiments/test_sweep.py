@@ -23,17 +23,17 @@ from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import METRICS, Evaluation, load_episodes, read_summary
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.jobs import Scoring
-from mechsearch.experiments.journal import (
+from mechsearch.experiments.plan import open_plan, read_plan
+from mechsearch.experiments.sweep import (
     BEGAN,
     DONE,
     FAILED,
     RUNNING,
     WAITING,
     Journal,
+    carry_out,
     status_of,
 )
-from mechsearch.experiments.plan import open_plan, read_plan
-from mechsearch.experiments.sweep import carry_out
 from mechsearch.files import SCORES_SUFFIX, locked, read_record, write_record
 from mechsearch.findings.experiment import read_experiment
 from mechsearch.findings.scores import load_scores, save_scores
@@ -430,7 +430,7 @@ def test_a_full_disk_stops_the_sweep_with_a_clear_error(few, tmp_path, monkeypat
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mechsearch.experiments.journal.append_line", full)
+    monkeypatch.setattr("mechsearch.experiments.sweep.append_line", full)
     with pytest.raises(MechSearchError, match=r"has stopped: .*No space left.*goes on from here"):
         carry_out(few, tmp_path)
     monkeypatch.undo()

@@ -16,8 +16,7 @@ from mechsearch.findings.failure_modes import (
     mode_of,
 )
 from mechsearch.findings.scores import compact, load_scores, read_scored, scores_file
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 from tests.findings.conftest import episode, grasping
 
 

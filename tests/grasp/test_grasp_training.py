@@ -15,8 +15,7 @@ from mechsearch.grasp.learning.training import (
     turned,
 )
 from mechsearch.grasp.network import load_network
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 
 def bars(count, seed=0):

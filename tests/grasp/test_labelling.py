@@ -8,8 +8,7 @@ from mechsearch.grasp.learning.grasp_folder import MANIFEST_FILE, OUTCOMES, Gras
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps, thumbnail
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 CONFIG = LabelConfig(per_object=4, shard=2)
 

@@ -3,22 +3,22 @@ import pytest
 import torch
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
-from mechsearch.grasp.aligned import JAWS_GRID, SUCTION_GRID, aligned
-from mechsearch.grasp.grasp_view import grasp_renderer, see_heap, segment_view
-from mechsearch.grasp.height_map import height_map
-from mechsearch.grasp.jaw_proposals import propose_jaws
+from mechsearch.grasp.grasp_view import grasp_renderer, height_map, see_heap, segment_view
+from mechsearch.grasp.network import ready
 from mechsearch.grasp.planner import GraspPlanner, RatedGrasps
+from mechsearch.grasp.proposals import propose_jaws, propose_suction
 from mechsearch.grasp.quality_network import (
+    JAWS_GRID,
+    SUCTION_GRID,
     QualityNetwork,
+    aligned,
     load_quality_network,
     mirrored,
-    ready,
     save_quality_network,
 )
-from mechsearch.grasp.suction_proposals import propose_suction
 from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.lift import LiftWorld, Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.sim.lift import LiftWorld
+from mechsearch.types import MechSearchError, Outcome
 
 JAWS = gripper_named("jaws-85")
 

@@ -4,7 +4,8 @@ import pytest
 from mechsearch.grasp.grasp_view import angle_bin, depth_bins, view_of_heap
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftWorld, Outcome
+from mechsearch.sim.lift import LiftWorld
+from mechsearch.types import Outcome
 
 
 def at(x, y, z):

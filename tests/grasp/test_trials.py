@@ -5,23 +5,31 @@ import pytest
 import torch
 
 from mechsearch.grasp.learning.grasp_folder import MANIFEST_FILE, OUTCOMES
-from mechsearch.grasp.learning.labelling import load_grasps
+from mechsearch.grasp.learning.labelling import (
+    TrialConfig,
+    Trials,
+    label_trials,
+    load_grasps,
+    load_trials,
+)
 from mechsearch.grasp.learning.metrics import judge
-from mechsearch.grasp.learning.quality_training import predict, train_quality_network
-from mechsearch.grasp.learning.states import KINDS, states_of
-from mechsearch.grasp.learning.training import NETWORK_FILE, GraspTrainConfig
-from mechsearch.grasp.learning.trials import TrialConfig, Trials, label_trials, load_trials
+from mechsearch.grasp.learning.states import STATE_KINDS, states_of
+from mechsearch.grasp.learning.training import (
+    NETWORK_FILE,
+    GraspTrainConfig,
+    predict_trials,
+    train_quality_network,
+)
+from mechsearch.grasp.network import ready
 from mechsearch.grasp.quality_network import (
     QualityNetwork,
     load_quality_network,
-    ready,
     save_quality_network,
 )
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.sim.lift import Outcome
 from mechsearch.sim.world import drift
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 CONFIG = TrialConfig(gripper="jaws-56", per_object=2, proposals=30, shard=2)
 
@@ -64,16 +72,16 @@ def test_every_kind_of_state_lies_still(heap_set):
     heap = heap_set.train[0]
     models = [load_object_set("household").models[name] for name in heap.objects]
     states = list(states_of(models, heap.poses, np.random.default_rng(0), 1, 2, range(4)))
-    assert {KINDS[state.kind] for state in states} == set(KINDS)
+    assert {STATE_KINDS[state.kind] for state in states} == set(STATE_KINDS)
     np.testing.assert_array_equal(states[0].poses, heap.poses)
     for state in states[1:]:
         there = [models[i] for i in state.present]
         assert drift(there, state.poses[state.present]) < 0.01
         gone = np.setdiff1d(np.arange(len(models)), state.present)
         assert (state.poses[gone, 0] > 5).all()
-        if KINDS[state.kind] == "alone":
+        if STATE_KINDS[state.kind] == "alone":
             assert len(there) == 1
-    pushed = [s.poses for s in states if KINDS[s.kind] == "pushed"]
+    pushed = [s.poses for s in states if STATE_KINDS[s.kind] == "pushed"]
     assert all(np.abs(poses - heap.poses)[:, :3].max() > 0.005 for poses in pushed)
 
 
@@ -81,7 +89,7 @@ def test_trials_tell_what_was_seen_done_and_what_came_of_it(heap_set, tried):
     trials = load_trials(tried)
     assert trials.relative.shape[1:] == (32, 64)
     assert set(trials.heap.tolist()) == {heap.seed for heap in heap_set.train}
-    assert {KINDS[kind] for kind in trials.state} == set(KINDS)
+    assert {STATE_KINDS[kind] for kind in trials.state} == set(STATE_KINDS)
     assert set(trials.success) <= {0.0, 0.5, 1.0}
     assert 0 < trials.success.mean() < 1
     assert np.isnan(trials.quality).all()
@@ -133,7 +141,7 @@ def test_a_network_learns_from_soft_labels_which_way_to_close(tmp_path):
     assert history[-1]["loss"] < history[0]["loss"]
     fresh = synthetic(200, seed=7)
     network = load_quality_network("jaws-56", tmp_path / NETWORK_FILE)
-    verdict = judge(predict(network, fresh), fresh.won[:, 0])
+    verdict = judge(predict_trials(network, fresh), fresh.won[:, 0])
     assert verdict.auc > 0.9
 
 

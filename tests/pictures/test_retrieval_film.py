@@ -10,8 +10,7 @@ from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.episodes import in_words
 from mechsearch.evaluation.rollout import run_episode
-from mechsearch.pictures.film import Film, FilmConfig, film_of, filmstrip
-from mechsearch.pictures.moments import Hands, recorded
+from mechsearch.pictures.film import Film, FilmConfig, Hands, film_of, filmstrip, recorded
 from mechsearch.pictures.replay import replayed
 from mechsearch.sim.gripper import gripper_named
 

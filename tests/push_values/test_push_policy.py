@@ -13,9 +13,8 @@ from mechsearch.files.tensors import Archive, save_archive
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import Continuation, PushValue, PushValueConfig
-from mechsearch.pushes.push import draw_pushes
-from mechsearch.pushes.view import look
-from mechsearch.training.policies import load_policy, save_policy, trained
+from mechsearch.pushes.push import draw_pushes, look
+from mechsearch.training.run_directory import load_policy, save_policy, trained
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 SMALL = PushValueConfig(filters=4, hidden=(16, 8))

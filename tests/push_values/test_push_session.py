@@ -18,13 +18,13 @@ from mechsearch.files import (
     tensors as weights,
 )
 from mechsearch.findings.experiment import read_run
-from mechsearch.push_values.session import PushValuesSession, load_episode
+from mechsearch.push_values.algorithm import PushValuesSession, load_episode
 from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes.push import draw_pushes
 from mechsearch.report.figures import draw_training
 from mechsearch.training.config import run_config
 from mechsearch.training.loop import learn
-from mechsearch.training.policies import load_policy
+from mechsearch.training.run_directory import load_policy
 from mechsearch.types import MechSearchError
 
 

@@ -13,7 +13,7 @@ from mechsearch.push_values.value import (
     fit_pushes,
     targets,
 )
-from mechsearch.pushes.view import NUMBERS, PATCH, PushViews
+from mechsearch.pushes.push import NUMBERS, PATCH, PushViews
 from mechsearch.types import MechSearchError
 
 

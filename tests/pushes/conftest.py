@@ -3,7 +3,7 @@ import pytest
 
 from mechsearch.camera import preset
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
-from mechsearch.pushes.view import Sight
+from mechsearch.pushes.push import Sight
 
 
 @pytest.fixture(scope="session")

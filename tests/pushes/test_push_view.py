@@ -3,8 +3,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.pushes.push import Push, draw_pushes
-from mechsearch.pushes.view import CELL, MIRRORED_NUMBERS, NUMBERS, PATCH, Sight, look, view_pushes
+from mechsearch.pushes.push import (
+    CELL,
+    MIRRORED_NUMBERS,
+    NUMBERS,
+    PATCH,
+    Push,
+    Sight,
+    draw_pushes,
+    look,
+    view_pushes,
+)
 
 FIXED = {"heap": 0, "fixed_start": True}
 

@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.pushes.push import Push, draw_pushes, straight
+from mechsearch.pushes.push import PlannedPush, Push, draw_pushes, straight
 from mechsearch.pushes.route import Route, RouteConfig
-from mechsearch.pushes.view import PlannedPush
 from mechsearch.types import ACTION_LENGTH, MechSearchError
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.camera import preset
-from mechsearch.pushes.view import look
+from mechsearch.pushes.push import look
 from mechsearch.types import MechSearchError
 
 FIXED = {"heap": 0, "fixed_start": True}

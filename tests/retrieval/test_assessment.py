@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.retrieval.assessment import GraspTask, assess, settled
-from mechsearch.sim.lift import Outcome
+from mechsearch.types import Outcome
 
 
 def at(x, y, z):

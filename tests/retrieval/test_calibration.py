@@ -4,8 +4,7 @@ import pytest
 from mechsearch.grasp.graspability import Graspability
 from mechsearch.retrieval.assessment import GraspAssessment, GraspTask, LiftResult, assess
 from mechsearch.retrieval.calibration import calibrate
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 
 def at(x, y, z):

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from mechsearch.evaluation.episodes import CEILING_METRICS, HIGHER_IS_BETTER
-from mechsearch.grasp.quality_network import QualityNetwork, ready, save_quality_network
+from mechsearch.grasp.network import ready
+from mechsearch.grasp.quality_network import QualityNetwork, save_quality_network
 from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.lifting import (
@@ -21,8 +22,7 @@ from mechsearch.retrieval.lifting import (
 )
 from mechsearch.sim.gripper import GRIPPERS
 from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 CONFIG = CeilingConfig(rated=3, geometric=20)
 

@@ -15,8 +15,7 @@ from mechsearch.retrieval.assessment import (
     summarise,
 )
 from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 
 def at(x, y, z, yaw=0.0):

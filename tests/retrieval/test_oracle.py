@@ -11,7 +11,7 @@ from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.rollout import Planner, evaluate, run_episode
 from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.retrieval import grasper as room
-from mechsearch.retrieval.oracle import OracleConfig, RetrieveOracle
+from mechsearch.retrieval.policies import OracleConfig, RetrieveOracle
 from mechsearch.types import GRASP, PUSH, REMOVE, MechSearchError
 from tests.retrieval.middle_planner import MiddlePlanner
 

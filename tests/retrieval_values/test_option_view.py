@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mechsearch.camera import preset
-from mechsearch.grasp.height_map import HeightMap
-from mechsearch.pushes.push import Push
-from mechsearch.pushes.view import Sight
+from mechsearch.grasp.grasp_view import HeightMap
+from mechsearch.pushes.push import Push, Sight
 from mechsearch.retrieval.grasper import Candidate
 from mechsearch.retrieval_values.view import (
     MIRRORED_OPTION_NUMBERS,

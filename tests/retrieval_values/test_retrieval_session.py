@@ -19,15 +19,18 @@ from mechsearch.evaluation.rollout import evaluate
 from mechsearch.files import read_lines
 from mechsearch.heaps.dataset import embedded_file
 from mechsearch.retrieval import grasper as room
-from mechsearch.retrieval_values import session as session_room
-from mechsearch.retrieval_values.algorithm import RetrievalValues
+from mechsearch.retrieval_values import algorithm as session_room
+from mechsearch.retrieval_values.algorithm import (
+    RetrievalValues,
+    RetrievalValuesSession,
+    load_options,
+)
 from mechsearch.retrieval_values.policy import RetrievePolicyConfig
-from mechsearch.retrieval_values.session import RetrievalValuesSession, load_options
 from mechsearch.retrieval_values.value import RetrievalValueConfig
 from mechsearch.training.config import load_config, run_config
 from mechsearch.training.loop import learn
-from mechsearch.training.policies import load_policy
 from mechsearch.training.run import train
+from mechsearch.training.run_directory import load_policy
 from mechsearch.types import RETRIEVAL_KEYS, MechSearchError
 from tests.retrieval.middle_planner import MiddlePlanner
 

@@ -20,7 +20,7 @@ from mechsearch.retrieval_values.value import (
     RetrievalValueConfig,
 )
 from mechsearch.retrieval_values.view import PushOption, RemovalOption
-from mechsearch.training.policies import load_policy, save_policy, trained
+from mechsearch.training.run_directory import load_policy, save_policy, trained
 from mechsearch.types import GRASP, PUSH, REMOVE, RETRIEVAL_KEYS, MechSearchError
 from tests.retrieval.middle_planner import MiddlePlanner, segments_of
 

@@ -5,9 +5,9 @@ from mechsearch.geometry import yaw_quaternion
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import GRIPPERS, Gripper, SuctionCup, gripper_named
 from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import LiftFrame, Outcome
+from mechsearch.sim.lift import LiftFrame
 from mechsearch.sim.suction import holds, seal_of
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 
 def at(x, y, z, yaw=0.0):

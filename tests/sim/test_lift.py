@@ -7,13 +7,12 @@ from mechsearch.sim.lift import (
     LiftConfig,
     LiftFrame,
     LiftWorld,
-    Outcome,
     Perturbation,
     above_table,
     perturbed,
 )
 from mechsearch.sim.scene import PhysicsConfig
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, Outcome
 
 
 def at(x, y, z, yaw=0.0):

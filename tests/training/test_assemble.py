@@ -12,8 +12,7 @@ from mechsearch.heaps.dataset import HeapSet, load_heaps, object_set
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import PRESETS
 from mechsearch.training.loop import learn
-from mechsearch.training.policies import load_policy
-from mechsearch.training.run_directory import CHECKPOINT_KIND
+from mechsearch.training.run_directory import CHECKPOINT_KIND, load_policy
 from mechsearch.types import MechSearchError
 
 SMALL = NetworkConfig(filters=4, hidden=(32, 32))

@@ -16,8 +16,8 @@ from mechsearch.env.heap_env import TaskConfig
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.journal import Journal
 from mechsearch.experiments.plan import QUICK, read_plan
+from mechsearch.experiments.sweep import Journal
 from mechsearch.files import records
 from mechsearch.files import tensors as weights
 from mechsearch.findings.experiment import read_run
@@ -27,17 +27,15 @@ from mechsearch.grasp.learning.labelling import Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.meshes.cache import model_from_npz, model_to_npz
-from mechsearch.push_values.algorithm import PushValues
+from mechsearch.push_values.algorithm import EpisodeOfPushes, PushValues, load_episode, save_episode
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
-from mechsearch.push_values.session import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.push_values.value import Continuation, PushSamples, PushValue, PushValueConfig
-from mechsearch.pushes.view import NUMBERS, PATCH
+from mechsearch.pushes.push import NUMBERS, PATCH
 from mechsearch.training import run_directory
 from mechsearch.training.config import load_config
 from mechsearch.training.loop import learn
-from mechsearch.training.policies import load_policy, save_policy, trained
 from mechsearch.training.run import RunInputs
-from mechsearch.training.run_directory import RunDirectory
+from mechsearch.training.run_directory import RunDirectory, load_policy, save_policy, trained
 from mechsearch.types import MechSearchError
 
 

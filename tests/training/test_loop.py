@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.actor_critic.algorithm import ActorCriticSession
 from mechsearch.actor_critic.guidance import Guidance
-from mechsearch.actor_critic.session import ActorCriticSession
 from mechsearch.files import read_lines
 from mechsearch.files.tensors import load_archive, save_archive
 from mechsearch.training.loop import learn
-from mechsearch.training.policies import load_policy
+from mechsearch.training.run_directory import load_policy
 from mechsearch.types import ACTOR_KEYS, MechSearchError
 
 

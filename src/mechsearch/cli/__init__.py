@@ -34,17 +34,17 @@ COMMANDS = {
     "grasp train": ("grasp_learning:TrainGrasps", "train a grasp network, or go on"),
     "grasp test": ("grasp_learning:TestGrasps", "judge grasp networks on labelled grasps"),
     "grasp calibrate": ("grasp_learning:CalibrateGrasps", "hold scores against lift success"),
-    "grasp ceiling": ("gripper_grasps:FindCeiling", "which targets can grippers lift at all?"),
+    "grasp ceiling": ("grasping:FindCeiling", "which targets can grippers lift at all?"),
     "report": ("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": ("demo:Demo", "the whole way: heaps, training, scores, report"),
 }
 """Where every command is, by its words, and what it does."""
 
 GRIPPER_COMMANDS = {
-    "grasp lift": "gripper_grasps:LiftChosen",
-    "grasp label": "gripper_grasps:LabelTrials",
-    "grasp train": "gripper_grasps:TrainQuality",
-    "grasp test": "gripper_grasps:TestQuality",
+    "grasp lift": "grasping:LiftChosen",
+    "grasp label": "grasp_learning:LabelTrials",
+    "grasp train": "grasp_learning:TrainQuality",
+    "grasp test": "grasp_learning:TestQuality",
 }
 """Where those commands are that, with `--gripper`, are about the networks of that gripper; without
 it, about the paper's graspability."""

@@ -11,7 +11,7 @@ import tyro
 
 from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
 from mechsearch.cli.overrides import optional, overridden
-from mechsearch.env.task import RetrievalTask, TaskConfig
+from mechsearch.env import RetrievalTask, TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,

@@ -1,4 +1,4 @@
-"""`mechsearch grasp label`, `train`, `test` and `calibrate`; all need PyTorch."""
+"""`mechsearch grasp label`, `train`, `test`, `calibrate`, by gripper too; all need PyTorch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -21,14 +21,25 @@ from mechsearch.cli.command import (
     wrote,
 )
 from mechsearch.files import write_json, write_text
-from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps
+from mechsearch.grasp.learning.labelling import (
+    LabelConfig,
+    TrialConfig,
+    label_grasps,
+    label_trials,
+    load_grasps,
+    load_rounds,
+    load_trials,
+)
 from mechsearch.grasp.learning.metrics import NetworkComparison
 from mechsearch.grasp.learning.training import (
     NETWORK_FILE,
     GraspTrainConfig,
     compare_networks,
+    compare_quality_networks,
     train_grasp_network,
+    train_quality_network,
 )
+from mechsearch.grasp.quality_network import quality_file
 from mechsearch.heaps.dataset import load_heaps
 from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.retrieval.calibration import calibrate_network
@@ -85,7 +96,7 @@ class TrainGrasps(Command):
         grasps = load_grasps(self.labels)
         with bars() as progress:
             history = train_grasp_network(grasps, self.config, self.out, progress)
-        say_best(history)
+        _say_best(history)
         wrote(self.out / NETWORK_FILE)
 
 
@@ -133,7 +144,7 @@ class TestGrasps(JudgingCommand):
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
         found = compare_networks(grasps, named)
-        say_comparison(found, f"{len(grasps)} grasps")
+        _say_comparison(found, f"{len(grasps)} grasps")
         self.write(asdict(found), {k: np.array(v.curve) for k, v in found.networks.items()})
 
 
@@ -181,7 +192,95 @@ class CalibrateGrasps(JudgingCommand, OfEpisodes):
         self.write(found.to_json(), curves)
 
 
-def say_best(history: Sequence[Mapping[str, float]]) -> None:
+@dataclass(frozen=True)
+class LabelTrials(OfObjects, Parallel):
+    """Try a gripper's grasps in many states of every heap, and record what became of them.
+
+    Every visible object is the target in turn. The first round leaves all to chance; with a network
+    a share of the grasps are those that it rates best. A folder that was cut off is continued.
+
+    Attributes:
+        heaps: Heap set (.parquet).
+        out: Folder for the labelled grasps.
+        network: Quality network (.safetensors) that picks a share of the grasps.
+        config: What to try.
+    """
+
+    heaps: Path
+    out: Path
+    network: Path | None = None
+    config: Annotated[TrialConfig, FLAT] = field(default_factory=TrialConfig)
+
+    def run(self) -> None:
+        """Label, and say what became of the grasps."""
+        heap_set = load_heaps(self.heaps)
+        objects = self.objects or heap_set.objects
+        with bars() as progress:
+            label_trials(
+                heap_set, objects, self.config, self.out, self.network, self.workers, progress
+            )
+        trials = load_trials(self.out)
+        say(f"{len(trials)} grasps, {trials.success.mean():.1%} of their executions succeed")
+        say(", ".join(f"{name} {count}" for name, count in trials.counts.most_common()))
+        wrote(self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainQuality(Command):
+    """Train a gripper's quality network, from scratch, or go on with a training.
+
+    Attributes:
+        gripper: By name: jaws-56, jaws-85 or suction.
+        labels: Folders that `mechsearch grasp label --gripper` wrote, one for each round.
+        out: Folder for checkpoint and network; one that was cut off is continued.
+        config: How to train.
+    """
+
+    gripper: str
+    labels: tuple[Path, ...]
+    out: Path
+    config: Annotated[GraspTrainConfig, FLAT] = field(default_factory=GraspTrainConfig)
+
+    def run(self) -> None:
+        """Train, and say how good the best epoch is."""
+        trials = load_rounds(self.gripper, self.labels)
+        with bars() as progress:
+            history = train_quality_network(self.gripper, trials, self.config, self.out, progress)
+        _say_best(history)
+        wrote(self.out / NETWORK_FILE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestQuality(JudgingCommand):
+    """Judge a gripper's quality networks on grasps that they have not learnt from.
+
+    Attributes:
+        networks: Quality networks (.safetensors) beside the shipped one.
+        gripper: By name: jaws-56, jaws-85 or suction.
+        labels: Folders that `mechsearch grasp label --gripper` wrote, such as one of held-out
+            heaps.
+    """
+
+    networks: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NETWORK ...]")
+    ] = ()
+    gripper: str
+    labels: tuple[Path, ...]
+
+    def run(self) -> None:
+        """Print a table of scores, and by how much the first network is above each other one."""
+        trials = load_rounds(self.gripper, self.labels)
+        named: dict[str, Path | None] = {}
+        if quality_file(self.gripper).exists() or not self.networks:
+            named["shipped"] = None
+        named |= {path.parent.name if path.stem == "network" else path.stem: path
+                  for path in self.networks}  # fmt: skip
+        found = compare_quality_networks(self.gripper, trials, named)
+        _say_comparison(found, f"Executions of {len(trials)} grasps")
+        self.write(asdict(found), {k: np.array(v.curve) for k, v in found.networks.items()})
+
+
+def _say_best(history: Sequence[Mapping[str, float]]) -> None:
     """Say how good the best epoch of a training is."""
     best = max(range(len(history)), key=lambda i: history[i]["average_precision"])
     row = history[best]
@@ -192,7 +291,7 @@ def say_best(history: Sequence[Mapping[str, float]]) -> None:
     )
 
 
-def say_comparison(found: NetworkComparison, grasps: str) -> None:
+def _say_comparison(found: NetworkComparison, grasps: str) -> None:
     """Print the scores of networks, and by how much the first is above each other one."""
     first, *_ = found.networks
     rate = f"base rate {found.networks[first].base_rate:.3f}"

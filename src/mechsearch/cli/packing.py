@@ -19,7 +19,7 @@ from mechsearch.files import (
     read_record,
     write_json,
 )
-from mechsearch.training.policies import load_policy, save_policy
+from mechsearch.training.run_directory import load_policy, save_policy
 from mechsearch.types import MechSearchError
 
 

@@ -10,9 +10,8 @@ import tyro
 from mechsearch.cli.command import Spread, say, wrote
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.journal import DONE, STATES, SweepStatus, status_of
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
-from mechsearch.experiments.sweep import carry_out
+from mechsearch.experiments.sweep import DONE, STATES, SweepStatus, carry_out, status_of
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.retrieval.assessment import assessor
 

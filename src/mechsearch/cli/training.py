@@ -9,11 +9,10 @@ import tyro
 
 from mechsearch.algorithm import A, RunConfig, Schedule
 from mechsearch.cli.command import FLAT, Command, bars, say, wrote
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import TaskConfig
 from mechsearch.evaluation.episodes import metrics_of
 from mechsearch.files import CONFIG_FILE
-from mechsearch.training.algorithms import ALGORITHMS
-from mechsearch.training.config import PRESETS, load_config, run_config
+from mechsearch.training.config import ALGORITHMS, PRESETS, load_config, run_config
 from mechsearch.training.run import RunInputs, crossings, train
 from mechsearch.types import MechSearchError
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
-from mechsearch.sim.scene import Workspace
+from mechsearch.sim import Workspace
 from mechsearch.types import (
     DECISION_NAMES,
     DECISION_SIZE,

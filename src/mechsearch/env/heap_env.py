@@ -15,8 +15,7 @@ from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.sim.scene import pusher_model
-from mechsearch.sim.world import World
+from mechsearch.sim import World, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError
 
 

@@ -15,9 +15,7 @@ from mechsearch.grasp.grasp_view import grasp_camera, see_heap
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import KEYS
-from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
+from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
 from mechsearch.types import (
     BUDGET_KEYS,
     DECISION_NAMES,
@@ -30,6 +28,7 @@ from mechsearch.types import (
     Array,
     Floats,
     MechSearchError,
+    Outcome,
 )
 
 
@@ -51,7 +50,7 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
 
     `info` holds `reward_terms`, `occlusion`, `end`, `failure`, `clutter_moved` and `target_moved`
     as in `HeapEnv`, where what is lifted off the table has not moved; and `outcome` ("" of a push,
-    a value of `sim.lift.Outcome`, or "used up"; a removal that put something aside is a success),
+    a value of `types.Outcome`, or "used up"; a removal that put something aside is a success),
     `held` (indices of the objects that came up), `retrieved`, and the numbers so far of `pushes`,
     `grasps`, `removals` and `wrong_objects` (grasps that brought up others without the target).
 

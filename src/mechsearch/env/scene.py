@@ -16,7 +16,7 @@ from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
-from mechsearch.sim.world import World
+from mechsearch.sim import World
 from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError
 
 _WORLDS_KEPT = 8

@@ -9,8 +9,7 @@ from typing import Any, Self, TypeVar
 from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import record_from_json
-from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace
+from mechsearch.sim import PhysicsConfig, Pusher, Workspace, gripper_named
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError
 
 _LEAST = {

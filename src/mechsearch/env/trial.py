@@ -6,8 +6,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mechsearch.env.decision import Decision
 from mechsearch.env.heap_env import HeapEnv
 from mechsearch.env.retrieve_env import RetrieveEnv
+from mechsearch.pushes.push import PlannedPush
 from mechsearch.types import TEACHER_KEYS, Array, Observation
 
 Env = TypeVar("Env", HeapEnv, RetrieveEnv)
@@ -78,3 +80,23 @@ def from_start(snapshot: dict[str, Array]) -> dict[str, Array]:
     """Return a snapshot as if the episode began there, with all its actions left."""
     spent = {name: snapshot[name] for name in _SPENT if name in snapshot}
     return snapshot | {name: np.zeros_like(count) for name, count in spent.items()}
+
+
+Propose = Callable[[Observation], Array | None]
+"""Returns the vector (9,) of the next decision, or None at the end."""
+
+
+def pushing(planned: PlannedPush) -> Propose:
+    """Return what proposes a push from its beginning to its end."""
+
+    def propose(obs: Observation) -> Array | None:
+        action = planned.act(obs)
+        return None if action is None else Decision.push(action).vector()
+
+    return propose
+
+
+def once(decision: Decision) -> Propose:
+    """Return what proposes a decision, and then nothing more."""
+    left: list[Array] = [decision.vector()]
+    return lambda obs: left.pop() if left else None

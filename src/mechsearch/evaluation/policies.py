@@ -11,15 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
-from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
-from mechsearch.env.trial import Rollout, imageless, roll_out
+from mechsearch.env import (
+    HeapEnv,
+    RetrievalTask,
+    Rollout,
+    TaskConfig,
+    imageless,
+    roll_out,
+    task_from_json,
+)
 from mechsearch.files import CONFIG_FILE, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher
 from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
 
-TRAINED_LOADER = "mechsearch.training.policies:load_policy"
+TRAINED_LOADER = "mechsearch.training.run_directory:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
 
 RETRIEVAL = {
@@ -27,7 +33,7 @@ RETRIEVAL = {
     "uncover-then-grasp": "mechsearch.retrieval.policies:UncoverThenGrasp",
     "uncover-then-grasp-dual": "mechsearch.retrieval.policies:uncover_then_grasp_dual",
     "clear-then-grasp": "mechsearch.retrieval.policies:ClearThenGrasp",
-    "retrieve-oracle": "mechsearch.retrieval.oracle:RetrieveOracle",
+    "retrieve-oracle": "mechsearch.retrieval.policies:RetrieveOracle",
 }
 """Baselines and ceiling of retrieval; they rate grasps, which needs the `learn` extra."""
 

@@ -12,12 +12,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from mechsearch.env.heap_env import HeapEnv
-from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.task import (
+from mechsearch.env import (
+    HeapEnv,
     HeapEnvConfig,
     RetrievalTask,
     RetrieveConfig,
+    RetrieveEnv,
     TaskConfig,
     task_from_json,
 )
@@ -41,7 +41,7 @@ from mechsearch.files import differing_fields, fingerprint
 from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
-from mechsearch.sim.world import ENGINE_VERSION
+from mechsearch.sim import ENGINE_VERSION
 from mechsearch.types import (
     RETRIEVAL_KEYS,
     Array,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.env.task import HeapEnvConfig, task_from_json
+from mechsearch.env import HeapEnvConfig, task_from_json
 from mechsearch.evaluation.episodes import (
     Evaluation,
     load_episodes,
@@ -39,8 +39,8 @@ from mechsearch.findings.scores import compact, episode_files, load_scores, scor
 from mechsearch.heaps.dataset import HeapSet, load_heaps
 from mechsearch.heaps.generate import generate
 from mechsearch.training.config import load_config
-from mechsearch.training.policies import load_policy
 from mechsearch.training.run import train
+from mechsearch.training.run_directory import load_policy
 from mechsearch.types import MechSearchError
 
 GraspAssessor = Callable[[Evaluation], Evaluation]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import RunConfig
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import TaskConfig
 from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.evaluation.rollout import differing
 from mechsearch.experiments.folder import SweepFolder

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import GRASP, USED_UP, Floats
+from mechsearch.types import GRASP, USED_UP, Floats, Outcome
 
 SUCCESS = "success"
 BACK_AND_FORTH = "back and forth"

@@ -21,7 +21,7 @@ from mechsearch.grasp.grasp_view import (
 )
 from mechsearch.grasp.network import GraspNetwork
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.scene import Workspace
+from mechsearch.sim import Workspace
 from mechsearch.types import Array, Floats, MechSearchError
 
 BEST = 10

@@ -6,6 +6,7 @@ fourth pixel, how likely a grasp there succeeds.
 """
 
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,8 @@ from mechsearch.files import read_arrays
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
 from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.types import Array, MechSearchError
+
+Network = TypeVar("Network", bound=nn.Module)
 
 _KIND = "mechsearch grasp network"
 _CONVOLUTIONS = ("conv1_1", "conv1_2", "conv2_1", "conv2_2", "fc3", "fc4", "fc5")
@@ -95,7 +98,7 @@ def load_network(path: Path | None = None) -> GraspNetwork:
     return ready(network)
 
 
-def ready(network: GraspNetwork) -> GraspNetwork:
+def ready(network: Network) -> Network:
     """Return the network itself, laid out for quick inference."""
     network.to(memory_format=torch.channels_last)
     return network.eval()

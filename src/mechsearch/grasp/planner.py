@@ -6,14 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.aligned import aligned
-from mechsearch.grasp.grasp_view import GraspView
-from mechsearch.grasp.height_map import HeightMap, height_map
-from mechsearch.grasp.jaw_proposals import propose_jaws
-from mechsearch.grasp.proposals import antipodal
-from mechsearch.grasp.quality_network import QualityNetwork, load_quality_network
-from mechsearch.grasp.suction_proposals import propose_suction
-from mechsearch.sim.gripper import Gripper, SuctionCup, gripper_named
+from mechsearch.grasp.grasp_view import GraspView, HeightMap, height_map
+from mechsearch.grasp.proposals import antipodal, propose_jaws, propose_suction
+from mechsearch.grasp.quality_network import QualityNetwork, aligned, load_quality_network
+from mechsearch.sim import Gripper, SuctionCup, gripper_named
 from mechsearch.types import Floats
 
 PROPOSALS = 100

@@ -1,5 +1,6 @@
-"""A grasp quality network: how likely a grasp succeeds, seen in the gripper's own frame."""
+"""How likely a grasp succeeds, seen in the gripper's own frame: a patch of the height map."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,88 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
-from mechsearch.grasp.aligned import GRASP_NUMBERS, Aligned, PatchGrid, grid_of
-from mechsearch.sim.gripper import gripper_named
+from mechsearch.geometry import rotation_from_quaternion
+from mechsearch.grasp.grasp_view import HeightMap
+from mechsearch.grasp.network import ready
+from mechsearch.sim import Gripper, SuctionCup, gripper_named
 from mechsearch.types import Array, Floats, MechSearchError
+
+GRASP_NUMBERS = 6
+"""How many numbers a grasp has beside its patch."""
+
+
+@dataclass(frozen=True)
+class PatchGrid:
+    """The cells of a patch, about the grasp centre.
+
+    Attributes:
+        rows: Cells along the gripper's y axis.
+        columns: Cells along its x axis, the closing direction.
+        cell: Side of a cell [m].
+    """
+
+    rows: int
+    columns: int
+    cell: float
+
+    @property
+    def square(self) -> bool:
+        """Whether both sides are alike."""
+        return self.rows == self.columns
+
+
+JAWS_GRID, SUCTION_GRID = PatchGrid(32, 64, 0.002), PatchGrid(32, 32, 0.002)
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """What is seen of grasps (K,), each in its gripper's own frame.
+
+    Attributes:
+        relative: How far what is seen rises over the plane of the gripper's x and y axes (K, R, C)
+            float32 [m].
+        target: Whether it is the target (K, R, C).
+        numbers: (K, 6) float32: height of the grasp centre over the table [m]; x and y of the
+            vertical in the gripper's frame; x and y of the middle of the target's visible part
+            [m]; square root of that part's area [m].
+    """
+
+    relative: NDArray[np.float32]
+    target: NDArray[np.bool_]
+    numbers: NDArray[np.float32]
+
+
+def grid_of(gripper: Gripper | SuctionCup) -> PatchGrid:
+    """Return the cells of a gripper's patches."""
+    return JAWS_GRID if isinstance(gripper, Gripper) else SUCTION_GRID
+
+
+def aligned(heights: HeightMap, poses: Floats, grid: PatchGrid) -> Aligned:
+    """Return what is seen of grasps (K, 7) in a height map."""
+    rotation = rotation_from_quaternion(poses[:, 3:])
+    axes, centre = rotation.astype(np.float32), poses[:, :3].astype(np.float32)
+    v, u = (
+        ((np.arange(count) - (count - 1) / 2) * grid.cell).astype(np.float32)
+        for count in (grid.rows, grid.columns)
+    )
+    x, y, z = (
+        centre[:, i, None, None]
+        + axes[:, i, 0, None, None] * u
+        + axes[:, i, 1, None, None] * v[:, None]
+        for i in range(3)
+    )
+    cells = heights.cells(x, y)
+    relative = (heights.height.ravel()[cells] - z) * axes[:, 2, 2, None, None]
+    own = heights.place(np.flatnonzero(heights.target))
+    middle = np.array([*own.mean(axis=0), 0.0]) - poses[:, :3]
+    middle[:, 2] = 0.0
+    offset = (middle[:, :, None] * rotation).sum(axis=1)
+    numbers = np.column_stack([
+        poses[:, 2], rotation[:, 2, :2], offset[:, :2],
+        np.full(len(poses), heights.cell * np.sqrt(len(own))),
+    ])  # fmt: skip
+    return Aligned(relative, heights.target.ravel()[cells], numbers.astype(np.float32))
+
 
 _KIND = "mechsearch grasp quality network"
 
@@ -97,12 +177,6 @@ def load_quality_network(gripper: str, path: Path | None = None) -> QualityNetwo
         raise MechSearchError(f"{path} is a network of the gripper {found!r}; expected {gripper!r}")
     fill(network, archive.tensors)
     return ready(network)
-
-
-def ready(network: QualityNetwork) -> QualityNetwork:
-    """Return the network itself, laid out for quick inference."""
-    network.to(memory_format=torch.channels_last)
-    return network.eval()
 
 
 def save_quality_network(path: Path, network: QualityNetwork, meta: dict[str, object]) -> None:

@@ -39,8 +39,16 @@ from mechsearch.heaps.dataset import (
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.render.visibility import body_of, occlusion
-from mechsearch.sim.scene import PhysicsConfig, Wall, Workspace
-from mechsearch.sim.world import ENGINE_VERSION, REST_LIMIT, World, drift, settle
+from mechsearch.sim import (
+    ENGINE_VERSION,
+    REST_LIMIT,
+    PhysicsConfig,
+    Wall,
+    Workspace,
+    World,
+    drift,
+    settle,
+)
 from mechsearch.types import Floats, MechSearchError
 
 DROPS = ("wall", "open")

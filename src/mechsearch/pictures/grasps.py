@@ -11,8 +11,7 @@ from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures import canvas
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim.gripper import AnyGripper
-from mechsearch.sim.lift import LiftFrame
+from mechsearch.sim import AnyGripper, LiftFrame
 from mechsearch.types import Floats, MechSearchError
 
 _LOW, _HIGH = np.array([214.0, 60.0, 45.0]), np.array([28.0, 98.0, 235.0])

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.env.retrieve_env import RetrieveEnv
-from mechsearch.env.task import RetrieveConfig, task_from_json
+from mechsearch.env import RetrieveConfig, RetrieveEnv, task_from_json
 from mechsearch.evaluation.episodes import EpisodeRecord
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.pictures.moments import (
+from mechsearch.pictures.film import (
     FILMS_ALONE,
     PHASES,
     Hands,
@@ -23,7 +22,7 @@ from mechsearch.pictures.moments import (
     moment_after,
     recorded,
 )
-from mechsearch.sim.lift import LiftFrame
+from mechsearch.sim import LiftFrame
 
 _EVERY = 6
 """Of the frames of a grasp, which are 20 ms apart, one in so many is shown."""
@@ -38,7 +37,7 @@ _AFTER = ("lower", "open", "leave")
 def replayed(
     header: Mapping[str, Any], record: EpisodeRecord, models: Mapping[str, ObjectModel]
 ) -> list[Moment]:
-    """Return the moments of an episode of retrieval, grasps phase by phase; see `moments.Play`.
+    """Return the moments of an episode of retrieval, grasps phase by phase; see `film.Play`.
 
     Where the physics takes another course than it was recorded, as it may on another machine, they
     are those of the record alone.

@@ -9,11 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import preset
-from mechsearch.env.reward import RewardConfig
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import RewardConfig, TaskConfig
 from mechsearch.push_values.value import Continuation, PushValue
-from mechsearch.pushes.push import Push, draw_pushes
-from mechsearch.pushes.view import PlannedPush, Sight, look, view_pushes
+from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from mechsearch.pushes.view import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
+from mechsearch.pushes.push import MIRRORED_NUMBERS, NUMBERS, PATCH, STRAIGHT_NUMBER, PushViews
 from mechsearch.types import MechSearchError
 
 _REWARD, _ACTIONS = 5.0, 5.0

@@ -19,8 +19,15 @@ from mechsearch.findings.experiment import EVALUATIONS, Condition, Experiment
 from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
 from mechsearch.findings.tables import ATTEMPTS_NOTE, number
-from mechsearch.pictures.film import FilmConfig, Models, film_of, filmstrip, start_and_end
-from mechsearch.pictures.moments import Play, recorded
+from mechsearch.pictures.film import (
+    FilmConfig,
+    Models,
+    Play,
+    film_of,
+    filmstrip,
+    recorded,
+    start_and_end,
+)
 from mechsearch.report import figures
 from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
 

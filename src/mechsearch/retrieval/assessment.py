@@ -26,10 +26,17 @@ from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_n
 from mechsearch.heaps.dataset import Heap, object_set, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Progress, map_in_order, silent
-from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftFrame, LiftWorld, Outcome, Perturbation, perturbed
-from mechsearch.sim.world import AWAKE, World, settle
-from mechsearch.types import Floats
+from mechsearch.sim import (
+    AWAKE,
+    Gripper,
+    LiftFrame,
+    LiftWorld,
+    Perturbation,
+    World,
+    perturbed,
+    settle,
+)
+from mechsearch.types import Floats, Outcome
 
 
 @dataclass(frozen=True, eq=False)

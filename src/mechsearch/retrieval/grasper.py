@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mechsearch.env.decision import reachable
+from mechsearch.env import reachable
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, segment_view
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
-from mechsearch.sim.scene import Workspace
+from mechsearch.sim import Workspace
 from mechsearch.types import Array, Floats, MechSearchError, Observation
 
 TARGET = 1

@@ -20,21 +20,24 @@ from mechsearch.evaluation.episodes import (
     SummaryRow,
     share_interval,
 )
-from mechsearch.grasp.grasp_view import GraspView, grasp_renderer, see_heap, segment_view
-from mechsearch.grasp.height_map import height_map
-from mechsearch.grasp.learning.states import KINDS, states_of
+from mechsearch.grasp.grasp_view import (
+    GraspView,
+    grasp_renderer,
+    height_map,
+    see_heap,
+    segment_view,
+)
+from mechsearch.grasp.learning.states import STATE_KINDS, states_of
 from mechsearch.grasp.planner import LEAST_VISIBLE, GraspPlanner, propose
 from mechsearch.heaps.dataset import Heap, object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.retrieval.assessment import LiftResult
-from mechsearch.sim.gripper import gripper_named
-from mechsearch.sim.gripper_world import GripperWorld
-from mechsearch.sim.lift import LiftFrame, Outcome, Perturbation, perturbed
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
+from mechsearch.types import Array, Floats, MechSearchError, Outcome
 
 LIFT_STATES = ("dropped", "pushed", "alone")
-"""In which a target is grasped: see `states.KINDS`."""
+"""In which a target is grasped: see `states.STATE_KINDS`."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +267,7 @@ def _scenes(
     rng = np.random.default_rng([seed, heap.seed])
     alone = (heap.target,) if "alone" in kinds else ()
     for state in states_of(models, heap.poses, rng, 0, int("pushed" in kinds), alone):
-        if KINDS[state.kind] in kinds:
+        if STATE_KINDS[state.kind] in kinds:
             seen = see_heap(renderer, state.poses, heap.target)
             world = GripperWorld(
                 [models[i] for i in state.present], [gripper_named(g) for g in robot.grippers]
@@ -287,7 +290,8 @@ def _lifted(plan: LiftPlan, heap: Heap) -> list[TargetLifts]:
         errors = [plan.seed, heap.seed, scene.kind, 1]
         chosen, first = (_executed(scene, pose, plan.repeats, errors) for pose in (best, drawn))
         found.append(TargetLifts(
-            heap.seed, KINDS[scene.kind], scene.present, scene.poses, best, quality, chosen, first
+            heap.seed, STATE_KINDS[scene.kind], scene.present, scene.poses, best, quality, chosen,
+            first,
         ))  # fmt: skip
     return found
 

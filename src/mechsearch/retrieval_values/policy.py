@@ -10,13 +10,10 @@ from scipy.ndimage import binary_dilation
 
 from mechsearch.algorithm import at_least
 from mechsearch.camera import preset
-from mechsearch.env.decision import Decision
-from mechsearch.env.task import TaskConfig
+from mechsearch.env import Decision, TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
-from mechsearch.grasp.grasp_view import GraspView, surroundings
-from mechsearch.grasp.height_map import height_map
-from mechsearch.pushes.push import draw_pushes
-from mechsearch.pushes.view import PlannedPush, Sight, look
+from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
+from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look
 from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper
 from mechsearch.retrieval_values.value import RetrievalValue
 from mechsearch.retrieval_values.view import (

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.grasp.height_map import HeightMap
-from mechsearch.pushes.push import Push
-from mechsearch.pushes.view import PlannedPush, Sight
+from mechsearch.grasp.grasp_view import HeightMap
+from mechsearch.pushes.push import PlannedPush, Push, Sight
 from mechsearch.retrieval.grasper import Candidate
 from mechsearch.types import Array, Floats
 

@@ -1,1 +1,7 @@
 """Physics: the world, its workspace, the pusher, and settling."""
+
+from mechsearch.sim.gripper import AnyGripper, Gripper, SuctionCup, gripper_named, open_parts
+from mechsearch.sim.gripper_world import GripperWorld
+from mechsearch.sim.lift import LiftFrame, LiftWorld, Perturbation, perturbed
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, pusher_model
+from mechsearch.sim.world import AWAKE, ENGINE_VERSION, REST_LIMIT, World, drift, settle

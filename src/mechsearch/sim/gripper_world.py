@@ -25,7 +25,6 @@ from mechsearch.sim.lift import (
     LiftConfig,
     LiftFrame,
     LiftTest,
-    Outcome,
     above_table,
     has_stalled,
     start_height,
@@ -34,7 +33,7 @@ from mechsearch.sim.lift import (
 from mechsearch.sim.scene import PhysicsConfig, Workspace, warned
 from mechsearch.sim.suction import SuctionTest, seal_of
 from mechsearch.sim.world import World
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError, Outcome
 
 _PARKED = np.array([0.0, 0.0, 5.0])
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

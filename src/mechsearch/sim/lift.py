@@ -6,7 +6,6 @@ x axis the closing direction, its z axis the direction against the approach.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Protocol
 
 import mujoco
@@ -22,24 +21,10 @@ from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.scene import PhysicsConfig, Workspace, compile_scene, reset_data, warned
 from mechsearch.sim.travel import Outlines
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError, Outcome
 
 _SHORT, _STILL = 0.005, 0.004
 """Fingers so far from where they are told to be [m], and slower than this [m/s], have stalled."""
-
-
-class Outcome(StrEnum):
-    """What became of one grasp."""
-
-    SUCCESS = "success"
-    BLOCKED = "blocked"
-    MISSED = "missed"
-    SLIPPED = "slipped"
-    DROPPED = "dropped"
-    WRONG_OBJECT = "wrong object"
-    TWO_OBJECTS = "two objects"
-    FAILURE = "failure"
-    NO_SEAL = "no seal"
 
 
 @dataclass(frozen=True)

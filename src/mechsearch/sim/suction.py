@@ -8,8 +8,8 @@ import numpy as np
 from mechsearch.geometry import apply, invert, transform_from_pose
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import SuctionCup
-from mechsearch.sim.lift import LiftConfig, LiftFrame, Outcome
-from mechsearch.types import Floats
+from mechsearch.sim.lift import LiftConfig, LiftFrame
+from mechsearch.types import Floats, Outcome
 
 _AROUND = 24
 """Points of the lip at which the surface is looked for."""

@@ -1,20 +1,64 @@
-"""Configurations of runs: their file, and the named ones of the paper's comparison."""
+"""All algorithms by name; configurations of runs: their file, and the paper's by name."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import NetworkConfig
-from mechsearch.algorithm import RunConfig, Schedule
-from mechsearch.entry_point import is_entry_point
-from mechsearch.env.task import RetrievalTask, TaskConfig, task_from_json
+from mechsearch.algorithm import Algorithm, RunConfig, Schedule
+from mechsearch.entry_point import is_entry_point, load_entry_point
+from mechsearch.env import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.push_values.algorithm import PushValues
 from mechsearch.retrieval_values.algorithm import RetrievalValues
-from mechsearch.training.algorithms import ALGORITHMS, make_algorithm, name_of
 from mechsearch.types import ACTOR_KEYS, RGB_ACTOR_KEYS, MechSearchError
+
+ALGORITHMS: dict[str, type[Any]] = {
+    "actor-critic": ActorCritic,
+    "push-values": PushValues,
+    "retrieval-values": RetrievalValues,
+}
+
+_NEEDED = ("keys", "teachers", "check", "begin", "save", "load")
+
+
+def make_algorithm(spec: str) -> Algorithm:
+    """Return an algorithm with its default options.
+
+    Args:
+        spec: A name in `ALGORITHMS`, or `package.module:factory`: a class, or a function without
+            arguments, that gives a frozen dataclass with the methods of `algorithm.Algorithm`.
+
+    Raises:
+        MechSearchError: If there is no such algorithm, or it lacks something.
+    """
+    if spec in ALGORITHMS:
+        built_in: Algorithm = ALGORITHMS[spec]()
+        return built_in
+    if not is_entry_point(spec):
+        raise MechSearchError(
+            f"unknown algorithm {spec!r}; choose one of {', '.join(ALGORITHMS)}, or "
+            "package.module:factory"
+        )
+    made: Any = load_entry_point(spec, "algorithm")()
+    missing = [name for name in _NEEDED if not hasattr(made, name)]
+    if missing or not is_dataclass(made):
+        raise MechSearchError(
+            f"algorithm {spec!r} gives a {type(made).__name__} that "
+            f"{'lacks ' + ', '.join(missing) if missing else 'is no dataclass'}; an algorithm is a "
+            f"frozen dataclass of its options with {', '.join(_NEEDED)}"
+        )
+    return cast(Algorithm, made)
+
+
+def name_of(algorithm: Algorithm) -> str:
+    """Return the name under which `make_algorithm` finds an algorithm's kind again."""
+    kind = type(algorithm)
+    known = {built_in: name for name, built_in in ALGORITHMS.items()}
+    return known.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+
 
 PURPOSE = "training configuration"
 

@@ -7,8 +7,7 @@ from typing import Any
 from mechsearch.algorithm import RunConfig, Session, TrainingSetup
 from mechsearch.processes import Progress, silent
 from mechsearch.training.log import RunLog
-from mechsearch.training.policies import trained
-from mechsearch.training.run_directory import RunDirectory
+from mechsearch.training.run_directory import RunDirectory, trained
 
 
 def learn(

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from mechsearch.files import read_arrays, read_record, write_record, write_whole
 from mechsearch.heaps.dataset import Heap
 from mechsearch.processes import Progress, map_in_order
-from mechsearch.sim.lift import Outcome
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, MechSearchError, Outcome
 
 _FORMAT = 1
 _PURPOSE = "manifest of a grasp set"

@@ -1,35 +1,68 @@
-"""Label grasps by trying them, and keep them: the set that a network learns from.
+"""Try grasps and keep what became of them: the sets that networks learn from.
 
-No network proposes or judges a grasp. Every visible object of every heap is the target in turn;
-its grasps are the policy's own angles and depths on its pixels, and a share of geometric ones, so
-that success is not too rare to learn.
+Every visible object of every heap is the target in turn. For the paper's grasp network
+(`label_grasps`) its grasps are the policy's own angles and depths on its pixels, and a share of
+geometric ones, so that success is not too rare to learn; no network proposes or judges them.
+
+For the quality network of any gripper (`label_trials`) heaps are seen in many states. In the first
+round the grasps are random proposals; later a network picks a share of them, so that its own
+confident failures are among what it learns from next.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from mechsearch.files import alone
-from mechsearch.grasp.grasp_view import FIELD, GraspView, ImageGrasp, angle_bin, view_of_heap
+from mechsearch.grasp.grasp_view import (
+    FIELD,
+    GraspView,
+    HeightMap,
+    ImageGrasp,
+    angle_bin,
+    grasp_renderer,
+    height_map,
+    see_heap,
+    segment_view,
+    view_of_heap,
+)
 from mechsearch.grasp.learning.grasp_folder import (
     OUTCOMES,
     GraspFolder,
     LabelledGrasps,
     load_labelled,
+    read_manifest,
+    sha256,
 )
+from mechsearch.grasp.learning.states import states_of
+from mechsearch.grasp.planner import LEAST_VISIBLE, PROPOSALS, RatedGrasps, propose, rate_grasps
 from mechsearch.grasp.proposals import antipodal, uniform
+from mechsearch.grasp.quality_network import (
+    Aligned,
+    QualityNetwork,
+    aligned,
+    grid_of,
+    load_quality_network,
+)
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, silent
-from mechsearch.sim.gripper import Gripper
-from mechsearch.sim.lift import LiftWorld, Outcome, Perturbation, perturbed
-from mechsearch.sim.world import ENGINE_VERSION
-from mechsearch.types import MechSearchError
+from mechsearch.sim import (
+    ENGINE_VERSION,
+    Gripper,
+    GripperWorld,
+    LiftWorld,
+    Perturbation,
+    gripper_named,
+    perturbed,
+)
+from mechsearch.types import Floats, MechSearchError, Outcome
 
 _LEAST_VISIBLE = 16
 """Pixels of an object from which grasps are proposed on it."""
@@ -185,3 +218,242 @@ def _proposed(
     found = antipodal(view, rng, wanted, gripper) if wanted else []
     yield from ((grasp, True) for grasp in found)
     yield from ((grasp, False) for grasp in uniform(view, rng, config.per_object - len(found)))
+
+
+_SUCCESS, _FAILURE = OUTCOMES.index(Outcome.SUCCESS), OUTCOMES.index(Outcome.FAILURE)
+
+
+@dataclass(frozen=True, eq=False)
+class Trials(LabelledGrasps):
+    """Grasps (n,) that were each tried twice, and what a network sees of them.
+
+    Attributes:
+        relative: As in `Aligned` (n, R, C) float16 [m].
+        target: Likewise (n, R, C).
+        numbers: Likewise (n, 6).
+        pose: Of the gripper's frame (n, 7).
+        planned: What it came to, executed exactly: index in `OUTCOMES` (n,) uint8.
+        noisy: Likewise, executed with errors of place, direction and friction.
+        quality: As a network rated it (n,) float32; not a number for a random proposal.
+        state: Kind of the state, index in `states.STATE_KINDS` (n,) uint8.
+        heap: Seed of the heap (n,) int64.
+        object: Name of the object to lift (n,), text.
+    """
+
+    relative: NDArray[np.float16]
+    target: NDArray[np.bool_]
+    numbers: NDArray[np.float32]
+    pose: Floats
+    planned: NDArray[np.uint8]
+    noisy: NDArray[np.uint8]
+    quality: NDArray[np.float32]
+    state: NDArray[np.uint8]
+    heap: NDArray[np.int64]
+    object: NDArray[np.str_]
+
+    @property
+    def won(self) -> NDArray[np.bool_]:
+        """Whether each execution succeeded (n, 2)."""
+        return np.asarray(np.stack([self.planned, self.noisy], axis=1) == _SUCCESS)
+
+    @property
+    def success(self) -> Floats:
+        """The labels (n,): shares of the executions that succeed."""
+        return np.asarray(self.won.mean(axis=1))
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """Which grasps (n,) no failure of the physics makes worthless."""
+        return np.asarray((self.planned != _FAILURE) & (self.noisy != _FAILURE))
+
+    @property
+    def seen(self) -> Aligned:
+        """What a network sees of them."""
+        return Aligned(self.relative.astype(np.float32), self.target, self.numbers)
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How many executions came to which outcome."""
+        return Counter(str(OUTCOMES[n]) for n in np.concatenate([self.planned, self.noisy]))
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """What to try.
+
+    Attributes:
+        gripper: By name.
+        per_object: Grasps on each visible object of each state.
+        best: Share of them that are the best-rated, where a network is given.
+        proposals: Among which those are.
+        removed: States of each heap with some objects removed.
+        pushed: States of each heap after pushes.
+        alone: Whether to try each object alone too.
+        split: "train" or "held-out" heaps.
+        limit: Number of heaps, spread evenly; 0 takes all.
+        shard: Heaps in a file.
+        seed: Of all randomness.
+    """
+
+    gripper: str = "jaws-85"
+    per_object: int = 8
+    best: float = 0.5
+    proposals: int = PROPOSALS
+    removed: int = 1
+    pushed: int = 1
+    alone: bool = True
+    split: str = "train"
+    limit: int = 0
+    shard: int = 8
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        gripper_named(self.gripper)
+        if self.split not in ("train", "held-out"):
+            raise MechSearchError(f"unknown split {self.split!r}; choose one of train, held-out")
+        if self.per_object < 1 or self.shard < 1 or self.proposals < self.per_object:
+            raise MechSearchError(
+                f"{self.per_object} of {self.proposals} proposals on each object, {self.shard} "
+                "heaps in a file; expected at least 1, no more than there are, and 1"
+            )
+        if not 0.0 <= self.best <= 1.0:
+            raise MechSearchError(f"a best-rated share of {self.best}; expected 0 to 1")
+
+
+def label_trials(
+    heap_set: HeapSet,
+    objects: str,
+    config: TrialConfig,
+    path: Path,
+    network: Path | None = None,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> GraspFolder:
+    """Fill a folder with grasps that were tried; go on if it was cut off.
+
+    Args:
+        heap_set: The heaps.
+        objects: Object set, as given to `load_object_set`.
+        config: What to try.
+        path: The folder.
+        network: File of the network that picks a share of the grasps; None leaves all to chance.
+        workers: Processes; the grasps do not depend on their number.
+        progress: Told after each heap.
+
+    Raises:
+        MechSearchError: If the objects are others, the network is of another gripper, the folder
+            holds other grasps, or another process fills it.
+    """
+    if network is not None:
+        load_quality_network(config.gripper, network)
+    with alone(path / "grasps", f"the grasp set {path}"):
+        check_objects(heap_set, object_set(objects))
+        heaps = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
+        identity = {
+            "trials": asdict(config), "heap_set": heap_set.hash, "engine": ENGINE_VERSION,
+            "network": sha256(network) if network else None,
+        }  # fmt: skip
+        folder = GraspFolder(path, identity)
+        label = partial(trials_of_heap, objects=objects, config=config, network=network)
+        folder.fill(heaps, config.shard, label, Trials, workers, progress)
+        return folder
+
+
+def load_trials(path: Path) -> Trials:
+    """Return all grasps of a folder; see `load_labelled`."""
+    return load_labelled(path, Trials)
+
+
+def load_rounds(gripper: str, paths: Sequence[Path]) -> Trials:
+    """Return all grasps of several folders.
+
+    Args:
+        gripper: That they were tried with, by name.
+        paths: The folders, at least one.
+
+    Raises:
+        MechSearchError: If there is no such gripper, a folder is of another one or none is named,
+            or as `load_labelled`.
+    """
+    gripper_named(gripper)
+    if not paths:
+        raise MechSearchError("no folder of tried grasps named; expected at least one")
+    rounds = [load_trials(path) for path in paths]
+    for path in paths:
+        found = read_manifest(path)["trials"]["gripper"]
+        if found != gripper:
+            raise MechSearchError(f"{path} holds grasps of {found!r}; expected {gripper!r}")
+    return Trials.concatenated(rounds)
+
+
+def trials_of_heap(
+    heap: Heap, objects: str, config: TrialConfig, network: Path | None = None
+) -> Trials:
+    """Return the grasps tried in one heap, a pure function of its arguments."""
+    known = object_set(objects).models
+    models = [known[name] for name in heap.objects]
+    rater = _rater(config.gripper, network) if network else None
+    gripper, renderer = gripper_named(config.gripper), grasp_renderer(models)
+    grid = grid_of(gripper)
+    parts = [_nothing(grid.rows, grid.columns)]
+    # The states are the same whoever picks the grasps.
+    rng = np.random.default_rng([config.seed, heap.seed])
+    alone = range(len(models)) if config.alone else ()
+    states = states_of(models, heap.poses, rng, config.removed, config.pushed, alone)
+    for number, state in enumerate(states):
+        world = GripperWorld([models[i] for i in state.present], [gripper])
+        poses = state.poses[state.present]
+        scene = see_heap(renderer, state.poses, int(state.present[0]))
+        for segment, index in enumerate(scene.objects, start=1):
+            view = segment_view(scene.depth, scene.segments, segment)
+            if view.mask.sum() < LEAST_VISIBLE:
+                continue
+            own = np.random.default_rng([config.seed, heap.seed, number, index])
+            heights = height_map(view)
+            found = propose(heights, own, config.proposals, gripper)
+            chosen = _chosen(heights, found, config, rater)
+            place = int(np.flatnonzero(state.present == index)[0])
+            outcomes = []
+            for pose in chosen.poses:
+                draw = perturbed(pose, own, Perturbation())
+                planned = world.try_grasp(poses, place, pose)
+                noisy = world.try_grasp(poses, place, draw[0], friction=draw[1])
+                outcomes.append([OUTCOMES.index(planned), OUTCOMES.index(noisy)])
+            came_to = np.array(outcomes, np.uint8).reshape(-1, 2)
+            seen, count = aligned(heights, chosen.poses, grid), len(chosen)
+            parts.append(Trials(
+                seen.relative.astype(np.float16), seen.target, seen.numbers, chosen.poses,
+                came_to[:, 0], came_to[:, 1], chosen.quality.astype(np.float32),
+                np.full(count, state.kind, np.uint8), np.full(count, heap.seed, np.int64),
+                np.full(count, heap.objects[index]),
+            ))  # fmt: skip
+    return Trials.concatenated(parts)
+
+
+def _chosen(
+    heights: HeightMap, found: Floats, config: TrialConfig, rater: QualityNetwork | None
+) -> RatedGrasps:
+    """Return the grasps to try: the best-rated ones apart, if a network is given, and by chance."""
+    best = RatedGrasps(found[:0], np.empty(0))
+    if rater is not None:
+        best = rate_grasps(rater, heights, found).apart(round(config.best * config.per_object))
+    drawn = found[: config.per_object - len(best)]
+    unrated = np.full(len(drawn), np.nan)
+    return RatedGrasps(np.concatenate([best.poses, drawn]), np.concatenate([best.quality, unrated]))
+
+
+def _nothing(rows: int, columns: int) -> Trials:
+    """Return no grasps."""
+    none = np.empty(0, np.uint8)
+    return Trials(
+        np.empty((0, rows, columns), np.float16), np.empty((0, rows, columns), np.bool_),
+        np.empty((0, 6), np.float32), np.empty((0, 7)), none, none, np.empty(0, np.float32), none,
+        np.empty(0, np.int64), np.empty(0, np.str_),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def _rater(gripper: str, network: Path) -> QualityNetwork:
+    """Return a network, loaded once in each process, which has one processor."""
+    torch.set_num_threads(1)
+    return load_quality_network(gripper, network)

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.scene import Pusher
-from mechsearch.sim.world import World, settle
+from mechsearch.sim import Pusher, World, settle
 from mechsearch.types import Floats
 
-KINDS = ("dropped", "removed", "pushed", "alone")
+STATE_KINDS = ("dropped", "removed", "pushed", "alone")
 """How a state came about: as the heap was dropped; some objects removed; pushed; one left alone."""
 
 _SWEEPS, _REACH, _TRIES = 3, 0.14, 6
@@ -29,7 +28,7 @@ class State:
     """Objects at rest.
 
     Attributes:
-        kind: Index in `KINDS`.
+        kind: Index in `STATE_KINDS`.
         poses: Of all of the heap's objects (N, 7); those that are gone are far away.
         present: Which are there (n,), indices.
     """

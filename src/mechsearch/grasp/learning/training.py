@@ -1,4 +1,4 @@
-"""Train a grasp network on labelled grasps, from scratch, in epochs that can be resumed."""
+"""Train grasp networks and quality networks on grasps that were tried; epochs can be resumed."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,12 +24,18 @@ from mechsearch.files.tensors import (
 )
 from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.grasp.learning.grasp_folder import Labelled
-from mechsearch.grasp.learning.labelling import Grasps
+from mechsearch.grasp.learning.labelling import Grasps, Trials
 from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, compare, judge
 from mechsearch.grasp.network import GraspNetwork, load_network, ready, save_network
+from mechsearch.grasp.quality_network import (
+    QualityNetwork,
+    load_quality_network,
+    mirrored,
+    save_quality_network,
+)
 from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, Floats, MechSearchError
 
 _KIND = "mechsearch grasp training"
 
@@ -280,3 +286,82 @@ def _resume(
     fill(network, part(archive.tensors, "network"))
     fill_optimizer(optimizer, part(archive.tensors, "adam"))
     return list(archive.meta["history"])
+
+
+def train_quality_network(
+    gripper: str,
+    trials: Trials,
+    config: GraspTrainConfig,
+    folder: Path,
+    progress: Progress = silent,
+) -> list[dict[str, float]]:
+    """Train a gripper's network, or go on; write the best one as `network.safetensors`.
+
+    Args:
+        gripper: By name.
+        trials: Of that gripper, in at least two heaps.
+        config: How to train; only `epochs` may differ from what a folder was begun with.
+        folder: For checkpoint and network.
+        progress: Told after each epoch.
+
+    Returns:
+        As `fit` does.
+
+    Raises:
+        MechSearchError: If there are too few heaps, the validation heaps' labels are all alike, or
+            the folder holds another training, or another process is at work in it.
+    """
+    learn, check = split_by_heap(trials.where(trials.sound), config.validation)
+    with torch.random.fork_rng():
+        torch.manual_seed(config.seed)
+        network = ready(QualityNetwork(gripper))
+    success = torch.from_numpy(learn.success.astype(np.float32))
+    symmetries = 8 if network.grid.square else 4
+
+    def loss(own: Array, rng: np.random.Generator) -> Tensor:
+        symmetry = rng.integers(symmetries, size=len(own)) * config.turned
+        seen = mirrored(
+            learn.relative[own].astype(np.float32), learn.target[own], learn.numbers[own], symmetry
+        )
+        logits = network(*(torch.from_numpy(array) for array in seen))
+        return nn.functional.binary_cross_entropy_with_logits(logits, success[own])
+
+    return fit(
+        network, len(learn), loss, lambda: judge_trials(predict_trials(network, check), check),
+        lambda path, meta: save_quality_network(path, network, meta),
+        config, {"gripper": gripper, "grasps": len(trials)}, folder, progress,
+    )  # fmt: skip
+
+
+def predict_trials(network: QualityNetwork, trials: Trials, batch: int = 512) -> Floats:
+    """Return the quality (n,) of grasps."""
+    network.eval()
+    parts = (trials.where(np.arange(s, min(s + batch, len(trials))))
+             for s in range(0, len(trials), batch))  # fmt: skip
+    return np.concatenate([network.quality(part.seen) for part in parts])
+
+
+def judge_trials(quality: Floats, trials: Trials) -> Verdict:
+    """Return how good qualities (n,) are against both executions of each grasp."""
+    return judge(np.repeat(quality, 2), trials.won.ravel())
+
+
+def compare_quality_networks(
+    gripper: str, trials: Trials, networks: Mapping[str, Path | None]
+) -> NetworkComparison:
+    """Return how good a gripper's networks are, and the gain of the first over each other one.
+
+    Args:
+        gripper: By name.
+        trials: Of that gripper, that no network has learnt from.
+        networks: File of each by name; None is the shipped one.
+
+    Raises:
+        MechSearchError: If a network is no good or of another gripper, or all outcomes are alike.
+    """
+    sound = trials.where(trials.sound)
+    rated = {
+        name: np.repeat(predict_trials(load_quality_network(gripper, path), sound), 2)
+        for name, path in networks.items()
+    }
+    return compare(rated, sound.won.ravel(), np.repeat(sound.heap, 2))
