@@ -15,6 +15,7 @@ from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
 from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look
 from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper
+from mechsearch.retrieval.policies import occluders
 from mechsearch.retrieval_values.value import RetrievalValue
 from mechsearch.retrieval_values.view import (
     Option,
@@ -40,9 +41,12 @@ class RetrievePolicyConfig:
         pushes: Random pushes to judge each time.
         removals: Objects around the target to judge the removal of.
         proposals: Grasps of the target that are rated with each gripper.
+        least: Chance of its best grasp from which an object's removal is considered.
         sure: Chance from which on a grasp is made at once.
         action: What a push action costs, in chance.
         removal: What a removal costs, in chance.
+        clearing: What it is worth, in chance, that an object is gone which lies on the target:
+            the network judges the next grasp alone, and more may have to go before that.
         clutter: What each metre of moved clutter costs, in chance.
         margin: By how much an option must promise more than grasping at once.
         camera: View of the images, a name for `camera.preset`.
@@ -52,9 +56,11 @@ class RetrievePolicyConfig:
     pushes: int = 48
     removals: int = 4
     proposals: int = 100
+    least: float = 0.2
     sure: float = 0.9
-    action: float = 0.005
+    action: float = 0.02
     removal: float = 0.03
+    clearing: float = 0.5
     clutter: float = 1.0
     margin: float = 0.05
     camera: str = TaskConfig.camera
@@ -166,7 +172,7 @@ class RetrievePolicy:
         return replace(sight, centre=centre)
 
     def judge(self, options: Sequence[Option], situation: Situation) -> Floats:
-        """Return the chance (n,) of the best grasp afterwards, less what each option costs."""
+        """Return what options are worth (n,): the chance afterwards, with gains, less costs."""
         config = self.config
         views = view_options(options, situation)
         patches, numbers = torch.from_numpy(views.patches), torch.from_numpy(views.numbers)
@@ -177,20 +183,25 @@ class RetrievePolicy:
         clutter = torch.stack([o.clutter_moved for o in found]).mean(dim=0).double().numpy()
         removes = np.array([isinstance(option, RemovalOption) for option in options])
         actions = np.array([option.actions for option in options])
+        clears = np.array([
+            option.grasp.quality * option.occludes if isinstance(option, RemovalOption) else 0.0
+            for option in options
+        ])  # fmt: skip
         cost = config.action * actions + config.removal * removes + config.clutter * clutter
-        return np.asarray(chance - cost)
+        return np.asarray(chance + config.clearing * clears - cost)
 
     def _removals(self, obs: Observation, view: GraspView) -> list[Option]:
         """Return what could be put aside: objects about the target, those closest to it first."""
-        segments = obs["segments"]
-        found: list[Option] = []
+        segments, found = obs["segments"], list[Option]()
+        covering = {occluder.segment for occluder in occluders(obs["grasp_depth"], segments)}
         for number in self._around(segments, view):
             own = self.grasper.view(obs, number)
             grasps = [c for c in self.grasper.candidates(own, False) if self._is_new(c)]
-            if grasps:
+            if grasps and grasps[0].quality >= self.config.least:
                 rows, columns = (axis[::4] for axis in np.nonzero(own.mask))
                 points = own.camera.points_at(columns, rows, own.depth[rows, columns])
-                found.append(RemovalOption(grasps[0], points[:, :2], float(points[:, 2].max())))
+                top = float(points[:, 2].max())
+                found.append(RemovalOption(grasps[0], points[:, :2], top, number in covering))
         return found
 
     def _around(self, segments: Array, view: GraspView) -> list[int]:

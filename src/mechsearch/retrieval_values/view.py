@@ -67,11 +67,13 @@ class RemovalOption:
         grasp: How it would be grasped.
         place: Points of its visible part (P, 2) [m].
         height: The greatest of them [m].
+        occludes: Whether it seems to lie on the target.
     """
 
     grasp: Candidate
     place: Floats
     height: float
+    occludes: bool
 
     @property
     def actions(self) -> float:

@@ -65,7 +65,7 @@ PURPOSE = "training configuration"
 Run = RunConfig[Any]
 
 
-_RETRIEVAL = Schedule(actions=6000, evaluate_every=1000, checkpoint_every=500, validation_heaps=20)
+_RETRIEVAL = Schedule(actions=2500, evaluate_every=500, checkpoint_every=500, validation_heaps=20)
 """Of `retrieve`, whose actions are dearer: at each decision many others are tried."""
 
 
