@@ -6,6 +6,7 @@ robot travels exactly and nothing is simulated, as for pushes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from weakref import proxy
 
 import mujoco
 import numpy as np
@@ -227,7 +228,9 @@ class _Rig:
     def __init__(
         self, world: GripperWorld, models: Sequence[ObjectModel], index: int, gripper: AnyGripper
     ) -> None:
-        self._world, self._models, self._index = world, models, index
+        # Not in a circle: the engine's memory must go as soon as its world does.
+        self._world: GripperWorld = proxy(world)
+        self._models, self._index = models, index
         self._model, self._data, self.count = world._model, world._data, world.count
         self.config = LiftConfig(physics=world.config)
         model = self._model
