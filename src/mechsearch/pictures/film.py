@@ -279,7 +279,7 @@ def film_of(
 def _lift_view(size: int) -> Camera:
     """Return a view from the side, wide enough for tall objects in the gripper."""
     pose, centre, focal = (
-        look_at((0.0, -0.9, 0.85), (0.0, 0.0, 0.13), (0, 0, 1)),
+        look_at((0.0, -0.62, 0.62), (0.0, 0.0, 0.1), (0, 0, 1)),
         (size - 1) / 2,
         1.4 * size,
     )
