@@ -56,7 +56,7 @@ def test_every_phase_is_named_with_the_gripper_and_what_came_of_it(record, momen
         "start: 75% hidden", "push 1: 75% hidden", "push 2: 75% hidden",
         *(first + phase for phase in ("descend", "close", "lift", "wrong object")),
         *(first + phase for phase in ("put back", "let go", "leave", "75% hidden")),
-        *(second + phase for phase in ("descend", "lift", "success", "0% hidden")),
+        *(second + phase for phase in ("descend", "seal", "lift", "success", "0% hidden")),
         *(f"grasp 2, jaws-85: {phase}" for phase in ("descend", "close", "lift", "shake")),
         "grasp 2, jaws-85: success, retrieved",
     ]  # fmt: skip

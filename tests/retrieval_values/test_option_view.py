@@ -54,7 +54,7 @@ def push():
 def removal():
     """Of the block: the robot's grasp of it promises 0.4."""
     place = np.array([[0.057, 0.003], [0.063, -0.003]])
-    return RemovalOption(Candidate(1, np.array([0.06, 0, 0.09, *DOWN]), 0.4), place, 0.1)
+    return RemovalOption(Candidate(1, np.array([0.06, 0, 0.09, *DOWN]), 0.4), place, 0.1, True)
 
 
 def test_a_push_is_seen_in_its_own_frame(push, situation):

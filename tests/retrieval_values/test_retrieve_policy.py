@@ -24,7 +24,9 @@ from mechsearch.training.run_directory import load_policy, save_policy, trained
 from mechsearch.types import GRASP, PUSH, REMOVE, RETRIEVAL_KEYS, MechSearchError
 from tests.retrieval.middle_planner import MiddlePlanner, segments_of
 
-FREE = RetrievePolicyConfig(pushes=6, removals=2, action=0.0, removal=0.0, clutter=0.0, margin=0.0)
+FREE = RetrievePolicyConfig(
+    clearing=0.0, pushes=6, removals=2, action=0.0, removal=0.0, clutter=0.0, margin=0.0
+)
 SMALL = RetrievalValueConfig(filters=4, hidden=(16, 8))
 
 
@@ -93,6 +95,21 @@ def test_networks_judge_together(obs):
     situation = policy.situation(view, policy.grasper.candidates(view))
     worth = policy.judge(policy.options(obs, view), situation)
     np.testing.assert_allclose(worth[:3], [0.45, 0.45, 0.7], atol=1e-6)
+
+
+def test_what_lies_on_the_target_is_worth_clearing_by_the_chance_of_its_grasp(obs):
+    """The lid's best grasp promises 0.6, and every option 0.5."""
+    policy = policy_of(Says([0.5] * 7), config=replace(FREE, clearing=0.5))
+    view = policy.grasper.view(obs)
+    situation = policy.situation(view, policy.grasper.candidates(view))
+    worth = policy.judge(policy.options(obs, view), situation)
+    np.testing.assert_allclose(worth, [0.5 + 0.5 * 0.6, *[0.5] * 6], atol=1e-6)
+
+
+def test_an_object_whose_best_grasp_is_poor_is_no_option(obs):
+    policy = policy_of(Says([0.5] * 7), config=replace(FREE, least=0.7))
+    options = policy.options(obs, policy.grasper.view(obs))
+    assert not any(isinstance(option, RemovalOption) for option in options)
 
 
 def test_an_option_must_promise_more_than_the_grasp_by_a_margin_and_its_costs(obs):
