@@ -411,6 +411,8 @@ def trials_of_heap(
             own = np.random.default_rng([config.seed, heap.seed, number, index])
             heights = height_map(view)
             found = propose(heights, own, config.proposals, gripper)
+            if not len(found):
+                continue
             chosen = _chosen(heights, found, config, rater)
             place = int(np.flatnonzero(state.present == index)[0])
             outcomes = []
