@@ -174,8 +174,10 @@ def lead(experiment: Experiment) -> str:
         split = str(condition.scored[0].header["split"])
         kinds = f"{split} " if split != "all" else ""
         kind = condition.scored[0].header["condition"] if condition.retrieves else condition.name
-        aim = " that retrieve" if condition.retrieves else ""
-        parts.append(f"{len(condition.policies)} policies{aim} on {heaps} {kinds}{kind} heaps")
+        count = len(condition.policies)
+        who, does = ("policy", "retrieves") if count == 1 else ("policies", "retrieve")
+        aim = f" that {does}" if condition.retrieves else ""
+        parts.append(f"{count} {who}{aim} on {heaps} {kinds}{kind} heaps")
     text = f"{' and '.join(parts)}, all from the same starts."
     actions = [
         one.actions for c in experiment.conditions.values() for one in c.scored if one.trained
