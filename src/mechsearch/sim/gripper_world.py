@@ -27,11 +27,13 @@ from mechsearch.sim.lift import (
     LiftFrame,
     LiftTest,
     above_table,
+    body_pose,
     has_stalled,
+    is_unsound,
     start_height,
     touching,
 )
-from mechsearch.sim.scene import PhysicsConfig, Workspace, warned
+from mechsearch.sim.scene import PhysicsConfig, Workspace
 from mechsearch.sim.suction import SuctionTest, seal_of
 from mechsearch.sim.world import World
 from mechsearch.types import Array, Floats, MechSearchError, Outcome
@@ -264,9 +266,7 @@ class _Rig:
 
     def unsound(self) -> bool:
         """Return whether the physics went wrong."""
-        data = self._data
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        return not finite or warned(data)
+        return is_unsound(self._data)
 
     def stand(self, position: Floats) -> None:
         """Put it at rest somewhere where nothing is near."""
@@ -423,12 +423,11 @@ class _JawRig(_Rig):
 
     def gripper_poses(self) -> Floats:
         """Return the poses (3, 7) of the rendered palm and fingers."""
-        data = self._data
-        place = np.array([*data.xpos[self._wrist], *data.xquat[self._wrist]])
+        place = body_pose(self._data, self._wrist)
         palm = place.copy()
         tips = np.array([0.0, 0.0, self.gripper.reach])
         palm[:3] = apply(transform_from_pose(place), self.gripper.palm_place + tips)
-        fingers = [np.array([*data.xpos[b], *data.xquat[b]]) for b in self._finger_bodies]
+        fingers = [body_pose(self._data, body) for body in self._finger_bodies]
         return np.stack([palm, *fingers])
 
 
@@ -471,8 +470,7 @@ class _CupRig(_Rig):
     def seal(self, number: int) -> bool:
         """Hold an object by vacuum if it closes the cup all around; return whether it does."""
         data = self._data
-        lip = np.array([*data.xpos[self._lip], *data.xquat[self._lip]])
-        body = np.array([*data.xpos[number + 1], *data.xquat[number + 1]])
+        lip, body = body_pose(data, self._lip), body_pose(data, number + 1)
         if not seal_of(self.gripper, lip, self._models[number], body):
             return False
         equality = self._seals[number]
@@ -509,6 +507,4 @@ class _CupRig(_Rig):
 
     def gripper_poses(self) -> Floats:
         """Return the poses (2, 7) of the rendered lip and tube."""
-        data = self._data
-        place = np.array([*data.xpos[self._wrist], *data.xquat[self._wrist]])
-        return open_parts(self.gripper, place)
+        return open_parts(self.gripper, body_pose(self._data, self._wrist))

@@ -162,19 +162,15 @@ class LiftWorld:
 
     def unsound(self) -> bool:
         """Return whether the physics went wrong."""
-        data = self._data
-        finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
-        return not finite or warned(data)
+        return is_unsound(self._data)
 
     def gripper_poses(self) -> Floats:
         """Return the poses (3, 7) of the rendered palm and fingers."""
         palm, *_ = self._bodies
-        place = np.array([*self._data.xpos[palm], *self._data.xquat[palm]])
+        place = body_pose(self._data, palm)
         palm_pose = place.copy()
         palm_pose[:3] = apply(transform_from_pose(place), self.gripper.palm_place)
-        fingers = [
-            np.array([*self._data.xpos[body], *self._data.xquat[body]]) for body in self._bodies[1:]
-        ]
+        fingers = [body_pose(self._data, body) for body in self._bodies[1:]]
         return np.stack([palm_pose, *fingers])
 
     def _reset(self, poses: Floats, grasp: Floats, friction: float | None) -> None:
@@ -395,6 +391,17 @@ def has_stalled(travel: float, fingers: Floats, speeds: Floats) -> bool:
     """Return whether fingers at (2,) [m] stand still, at (2,) [m/s], short of a travel [m]."""
     short = travel - float(fingers.max()) > _SHORT
     return short and float(np.abs(speeds).max()) < _STILL
+
+
+def is_unsound(data: mujoco.MjData) -> bool:
+    """Return whether the physics of a scene went wrong since `reset_data`."""
+    finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+    return not finite or warned(data)
+
+
+def body_pose(data: mujoco.MjData, body: int) -> Floats:
+    """Return the pose (7,) of a body."""
+    return np.array([*data.xpos[body], *data.xquat[body]])
 
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData, geom: int, count: int) -> set[int]:
