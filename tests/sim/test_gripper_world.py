@@ -110,15 +110,15 @@ def test_bad_input_is_named(smalls):
 @pytest.mark.parametrize(
     ("load", "bears"),
     [
-        # 60 kPa on a lip of 10 mm hold 18.85 N.
-        ([0, 0, -18.8, 0, 0, 0], True),
-        ([0, 0, -18.9, 0, 0, 0], False),
-        ([0, 0, 4.0, 0.18, 0, 0], True),
-        ([0, 0, -8.85, 0.099, 0, 0], True),
-        ([0, 0, -8.85, 0, 0.101, 0], False),
-        ([4.9, 0, -8.85, 0, 0, 0], True),
-        ([3.6, 3.6, -8.85, 0, 0, 0], False),
-        ([0, 0, -8.85, 0, 0, 0.051], False),
+        # 80 kPa on a lip of 10 mm hold 25.13 N.
+        ([0, 0, -25.1, 0, 0, 0], True),
+        ([0, 0, -25.2, 0, 0, 0], False),
+        ([0, 0, 4.0, 0.24, 0, 0], True),
+        ([0, 0, -15.13, 0.099, 0, 0], True),
+        ([0, 0, -15.13, 0, 0.101, 0], False),
+        ([4.9, 0, -15.13, 0, 0, 0], True),
+        ([3.6, 3.6, -15.13, 0, 0, 0], False),
+        ([0, 0, -15.13, 0, 0, 0.051], False),
     ],
 )
 def test_a_seal_bears_what_vacuum_lip_and_friction_bear(load, bears):

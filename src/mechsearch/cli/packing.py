@@ -27,6 +27,8 @@ from mechsearch.types import MechSearchError
 class Pack(Command):
     """Pack a run's policy for others: its weights, and a card of its data, settings and scores.
 
+    Weights are rounded to 16 bits.
+
     Attributes:
         run_directory: What `mechsearch train` wrote.
         scores: What `mechsearch evaluate` recorded of it (.npz).
@@ -44,7 +46,7 @@ class Pack(Command):
         check_place(self.out)
         policy = load_policy(self.run_directory)
         card = self._card(load_episodes(self.scores), policy.training_actions)
-        save_policy(policy, self.out)
+        save_policy(policy, self.out, rounded=True)
         weights = hashlib.sha256(self.out.read_bytes()).hexdigest()
         write_json(self.out.with_suffix(".json"), {"sha256": weights, **card})
         wrote(self.out)

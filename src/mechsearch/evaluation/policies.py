@@ -46,8 +46,8 @@ SHAPES = (straight, zigzag, spiral)
 WITHOUT_SUCCESS = 100.0
 """What a trial that does not uncover the target is behind those that do."""
 
-SHIPPED_POLICIES = ("single", "dual")
-"""Conditions for which a trained policy is shipped, and the policies' names."""
+SHIPPED_POLICIES = ("single", "dual", "retrieve", "retrieve-dual")
+"""Trained policies that are shipped: two that uncover, two that retrieve, for either condition."""
 
 UNCOVER, RETRIEVE = "uncover", "retrieve"
 """What a policy is after: its attribute `goal`, the first one where it has none."""
@@ -176,8 +176,8 @@ def make_policy(spec: str) -> Policy:
 
     Args:
         spec: "random", "idle", "look-ahead", or "teacher-" and a name in `teachers.TEACHERS`;
-            "single" or "dual", the trained policies that are shipped; a run directory, whose last
-            policy is meant, or one policy's file (.safetensors); or
+            one of `SHIPPED_POLICIES`; a run directory, whose last policy is meant, or one
+            policy's file (.safetensors); or
             `package.module:factory`, a function without arguments, or a class, that returns a
             `mechsearch.types.Policy`.
 

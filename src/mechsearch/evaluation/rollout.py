@@ -30,6 +30,7 @@ from mechsearch.evaluation.episodes import (
 from mechsearch.evaluation.policies import (
     RETRIEVE,
     SHIPPED_POLICIES,
+    card,
     check_view,
     checked_policy,
     config_of_run,
@@ -372,7 +373,8 @@ class _Rollouts:
     @cached_property
     def opened(self) -> tuple[HeapSet, ObjectSet]:
         policy = self.plan.policy
-        condition = policy if isinstance(policy, str) and policy in SHIPPED_POLICIES else "single"
+        shipped = isinstance(policy, str) and policy in SHIPPED_POLICIES
+        condition = card(str(policy))["trained_on"]["condition"] if shipped else "single"
         return open_heaps(self.plan.heaps or embedded_file(condition), self.plan.objects)
 
     @property

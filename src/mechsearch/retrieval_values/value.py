@@ -40,7 +40,7 @@ class RetrievalValueConfig:
     """
 
     filters: int = 32
-    hidden: tuple[int, int] = (256, 128)
+    hidden: tuple[int, int] = (128, 64)
     dropout: float = 0.3
     rate: float = 1.5e-3
     weight_decay: float = 1e-2

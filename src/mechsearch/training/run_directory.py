@@ -73,9 +73,17 @@ def trained(policy: Policy, algorithm: Algorithm, actions: int, task: TaskConfig
     return TrainedPolicy(policy, algorithm, actions, task.camera, task.image_size)
 
 
-def save_policy(trained: TrainedPolicy, path: Path) -> None:
-    """Write a policy to a safetensors file that `load_policy` needs nothing beside."""
+def save_policy(trained: TrainedPolicy, path: Path, rounded: bool = False) -> None:
+    """Write a policy to a safetensors file that `load_policy` needs nothing beside.
+
+    Args:
+        trained: The policy.
+        path: Where to.
+        rounded: Whether to round its weights to 16 bits, which halves the file.
+    """
     tensors, facts = trained.algorithm.save(trained.policy)
+    if rounded:
+        tensors = {n: t.half() if t.is_floating_point() else t for n, t in tensors.items()}
     known: dict[str, Any] = {
         "training_actions": trained.training_actions,
         "camera": trained.camera,
