@@ -6,6 +6,7 @@ and depth is measured along z, not along the ray.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,14 +38,30 @@ class Camera:
     world_from_camera: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or self.fx <= 0 or self.fy <= 0:
+        # What is not a number is not positive either.
+        if not (self.width >= 1 and self.height >= 1 and 0 < self.fx < inf and 0 < self.fy < inf):
             raise MechSearchError(
                 f"a camera needs a positive size and focal length, not {self.width} x "
                 f"{self.height} px with fx {self.fx}, fy {self.fy}"
             )
+        if not (isfinite(self.cx) and isfinite(self.cy)):
+            raise MechSearchError(
+                f"a camera's principal point is finite, not cx {self.cx}, cy {self.cy}"
+            )
         if len(self.world_from_camera) != 16:
             raise MechSearchError(
                 f"world_from_camera has {len(self.world_from_camera)} numbers; expected 16 (4 x 4)"
+            )
+        pose = self.pose
+        across = pose[:3, :3] @ pose[:3, :3].T
+        if not (
+            np.isfinite(pose).all()
+            and pose[3].tolist() == [0, 0, 0, 1]
+            and np.abs(across - np.eye(3)).max() < 1e-3
+            and np.linalg.det(pose[:3, :3]) > 0
+        ):
+            raise MechSearchError(
+                f"world_from_camera is {self.world_from_camera}; expected a rigid transform (4 x 4)"
             )
 
     @property
@@ -87,15 +104,17 @@ class Camera:
             -1,
         )
 
-    def resized(self, size: int) -> "Camera":
-        """Return the same view on an image whose height is `size` [px]."""
+    def resized(self, size: int, width: int | None = None) -> "Camera":
+        """Return the same view on an image whose height is `size` [px], and its width in scale."""
         scale = size / self.height
+        columns = round(self.width * scale) if width is None else width
+        across = scale if width is None else width / self.width
         return Camera(
-            round(self.width * scale),
+            columns,
             size,
-            self.fx * scale,
+            self.fx * across,
             self.fy * scale,
-            (self.cx + 0.5) * scale - 0.5,
+            (self.cx + 0.5) * across - 0.5,
             (self.cy + 0.5) * scale - 0.5,
             self.world_from_camera,
         )

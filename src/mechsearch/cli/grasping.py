@@ -1,5 +1,6 @@
 """`mechsearch grasp score`, `lift`, with `--gripper` too, and `ceiling`; all need PyTorch."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -86,9 +87,12 @@ class ScoreGrasps(GraspTargets):
 
     Attributes:
         heaps: Heap set (.parquet).
-        depth: Depth image [m]: .npy, .png, or .npz with `depth`, `mask` and `K`; instead of heaps.
-        mask: The target in that image, where it is not 0: .npy, .png or .npz.
-        intrinsics: Of its camera: .json with fx, fy, cx, cy [px].
+        depth: Depth image [m]: .npy, 16-bit .png, float .tif, or .npz with `depth`, `mask` and `K`;
+            instead of heaps.
+        mask: The target in that image: .npy, a picture, or .npz.
+        label: The target's value in a mask of several.
+        intrinsics: Its camera [px]: .json or .yaml with fx, fy, cx, cy, or a matrix, such as a ROS
+            CameraInfo; or a matrix in .npy or .txt.
         depth_scale: Metres for one unit of the depth image; 0.001 for millimetres.
         out: Picture (.png) of the best grasps to write.
     """
@@ -96,6 +100,7 @@ class ScoreGrasps(GraspTargets):
     heaps: Path | None = None
     depth: Path | None = None
     mask: Path | None = None
+    label: int | None = None
     intrinsics: Path | None = None
     depth_scale: float = 1.0
     out: Path | None = None
@@ -131,7 +136,11 @@ class ScoreGrasps(GraspTargets):
 
     def _score_image(self, depth: Path) -> Image.Image:
         check_opening(self.opening)
-        view = read_view(depth, self.mask, self.intrinsics, self.depth_scale)
+        with warnings.catch_warnings(record=True, action="always", category=UserWarning) as noted:
+            files = (depth, self.mask, self.intrinsics, self.depth_scale, self.label)
+            view, camera = read_view(*files)
+        for each in noted:
+            say(f"note: {each.message}")
         ratings = rate(shared_network(self.network), view)
         mean, apart = ratings.graspability.score, ratings.best_apart()
         count = len(ratings.best())
@@ -139,9 +148,11 @@ class ScoreGrasps(GraspTargets):
         columns = ("column", "row", "depth [m]", "angle [deg]", "quality", "x y z [m]")
         rows = []
         for g in apart:
-            place = " ".join(map("{:+.3f}".format, g.pose(view.camera)[:3]))
-            image = (f"{g.column:.0f}", f"{g.row:.0f}", f"{g.depth:.3f}")
-            rows.append((*image, f"{np.rad2deg(g.angle):.0f}", f"{g.quality:.3f}", place))
+            place = g.pose(view.camera)[:3]
+            # In the image as it was brought; the view may have been resized.
+            column, row, z = camera.project(place)
+            cells = f"{column:.0f}", f"{row:.0f}", f"{z:.3f}", f"{np.rad2deg(g.angle):.0f}"
+            rows.append((*cells, f"{g.quality:.3f}", " ".join(map("{:+.3f}".format, place))))
         say_table("Best grasps that differ, in the camera's frame", columns, rows)
         return draw_grasps(view, apart, f"graspability {mean:.2f}")
 

@@ -1,74 +1,99 @@
-"""A user's own depth image, mask and intrinsics: from files, checked and filled."""
+"""A user's own depth image, mask and camera, checked and made fit for the grasp networks."""
 
+import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from mechsearch.camera import Camera
-from mechsearch.files import ARRAY_DAMAGE, read_arrays, read_json
-from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView
+from mechsearch.grasp.camera_files import camera_of, read_camera
+from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView, surroundings
+from mechsearch.grasp.image_files import Stored, depth_in_metres, read_stored, target_pixels
 from mechsearch.types import Array, MechSearchError
 
-_WIDTH_PX = (23.0, 46.0)
-"""Width of a 5 cm gripper at the target [px]: where the released network's scores were found
-steady; 0.8 m below the metric camera it is 34.5."""
+_WIDTH_PX = (23.0, 34.5, 46.0)
+"""Width of a 5 cm gripper at the target [px]: between the outer ones the released network's scores
+were found steady; the middle one is that 0.8 m below the metric camera."""
+
+_LEAST_WIDTH_PX = 11.5
+"""Below this there is too little to resize."""
+
+_DEPTHS = (0.05, 20.0)
+"""Of what a camera shows [m]; other numbers are no metres."""
+
+_AROUND = 0.2
+"""How far from the target the table is looked for [m]."""
+
+_HEAP = 0.3
+"""A target lies no higher above the table [m]."""
+
+_STRAY = 0.01
+"""What lies farther beyond the table, or in front of the target, is not believed [m]."""
 
 
 def read_view(
-    depth: Path, mask: Path | None, intrinsics: Path | None, scale: float = 1.0
-) -> GraspView:
-    """Return the view that files hold.
+    depth: Path,
+    mask: Path | None = None,
+    intrinsics: Path | None = None,
+    scale: float = 1.0,
+    label: int | None = None,
+) -> tuple[GraspView, Camera]:
+    """Return the view that files hold, and the camera as it is there; see `view_of_image`.
 
     Args:
-        depth: Depth image: NPY, PNG, or NPZ with an array `depth`, and perhaps `mask` and `K`.
-        mask: The target: NPY, PNG, or NPZ with an array `mask`; None takes it from the depth's NPZ.
-        intrinsics: JSON with fx, fy, cx, cy [px]; None takes `K` (3, 3) from the depth's NPZ.
+        depth: Depth image: NPY, a picture such as a 16-bit PNG, or NPZ with an array `depth`, and
+            perhaps `mask` and a camera.
+        mask: The target: NPY, a picture, or NPZ with an array `mask`; None takes it from the
+            depth's NPZ.
+        intrinsics: The camera, see `read_camera`; None takes it from the depth's NPZ.
         scale: Metres for one unit of the depth image, 0.001 for millimetres.
+        label: The target's value in a mask of several.
 
     Raises:
-        MechSearchError: If a file is missing or damaged, lacks something, or `view_of_image`
-            refuses what it holds.
+        MechSearchError: If a file is missing or damaged, lacks something, or what it holds is
+            refused.
     """
-    image = _array(depth, "depth").astype(np.float32) * np.float32(scale)
-    inside = _array(mask or _within(depth, "mask"), "mask")
-    height, width = image.shape[:2] if image.ndim >= 2 else (0, 0)
-    if intrinsics is None:
-        k = np.asarray(_array(_within(depth, "intrinsics"), "K"), np.float64)
-        if k.shape != (3, 3):
-            raise MechSearchError(f"K in {depth} has shape {k.shape}; expected (3, 3)")
-        numbers = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    stored = read_stored(depth, "depth image")
+    metres = depth_in_metres(_named(stored, "depth", depth), scale)
+    shown = read_stored(mask, "mask") if mask else _whole(stored, "mask", depth)
+    inside = target_pixels(_named(shown, "mask", mask or depth), label)
+    if intrinsics:
+        camera = read_camera(intrinsics, metres.shape)
     else:
-        numbers = _numbers(intrinsics)
-    fx, fy, cx, cy = map(float, numbers)
-    level = tuple(np.eye(4).ravel().tolist())
-    return view_of_image(image, inside, Camera(width, height, fx, fy, cx, cy, level))
+        camera = camera_of(_whole(stored, "intrinsics", depth), metres.shape, str(depth))
+    return view_of_image(metres, inside, camera), camera
 
 
-def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
-    """Return a user's depth image, checked and filled.
+def view_of_image(
+    depth: Stored, mask: Stored, camera: Camera, label: int | None = None
+) -> GraspView:
+    """Return a user's depth image, checked, filled, and resized where the networks need it.
 
-    Holes (0 or not finite) take the median of the other pixels, and are no part of the target.
+    Holes (0 or not finite) take the median of the other pixels, and are no part of the target. The
+    table is that around the target. What seems to be beyond it, or much nearer than the target,
+    takes the depth of the nearest other pixel, with a warning. The view's camera tells whether the
+    image was resized; a grasp's `pose` is in the same world as before.
 
     Args:
-        depth: (H, W) or (H, W, 1) [m].
-        mask: The target (H, W) or (H, W, 1), bool or 0 where it is not.
+        depth: (H, W) [m]; see `depth_in_metres`.
+        mask: The target (H, W); see `target_pixels`.
         camera: Its size must be the image's.
+        label: The target's value in a mask of several.
 
     Raises:
         MechSearchError: If sizes differ, depths are no metres, most of the image is holes, no pixel
-            of the target is visible, or the target is too near or far for the networks.
+            of the target is visible, or the target is too far for the networks.
     """
-    raw, inside = _flat("depth image", depth), _flat("mask", mask) != 0
-    if inside.shape != raw.shape:
-        raise MechSearchError(f"the mask is {inside.shape}, the depth image {raw.shape}")
-    if (camera.height, camera.width) != raw.shape:
+    metres, inside = depth_in_metres(depth), target_pixels(mask, label)
+    if inside.shape != metres.shape:
+        raise MechSearchError(f"the mask is {inside.shape}, the depth image {metres.shape}")
+    if (camera.height, camera.width) != metres.shape:
         raise MechSearchError(
-            f"the depth image is {raw.shape}, but the intrinsics are for "
+            f"the depth image is {metres.shape}, but the intrinsics are for "
             f"{(camera.height, camera.width)}"
         )
-    metres = raw.astype(np.float32)
     seen = np.isfinite(metres) & (metres > 0)
     holes = 1 - seen.mean()
     if holes > 0.75:
@@ -76,65 +101,103 @@ def view_of_image(depth: Array, mask: Array, camera: Camera) -> GraspView:
             f"{holes:.0%} of the depth image are holes (0 or not finite); expected less than 75%"
         )
     middle = float(np.median(metres[seen]))
-    if middle > 20.0:
+    if not _DEPTHS[0] <= middle <= _DEPTHS[1]:
         raise MechSearchError(
-            f"the median depth is {middle:.0f}; expected metres, so divide millimetres by 1000"
+            f"the median depth is {middle:.3g}; expected metres, so divide millimetres by 1000"
         )
     inside = inside & seen
+    _check_visible(inside)
+    width = camera.fx * NETWORK_OPENING[0] / float(np.median(metres[inside]))
+    if width < _LEAST_WIDTH_PX:
+        raise MechSearchError(
+            f"at the target 5 cm are {width:.1f} px; expected at least {_LEAST_WIDTH_PX}, so bring "
+            "an image from nearer or with more pixels"
+        )
+    if not _WIDTH_PX[0] <= width <= _WIDTH_PX[2]:
+        camera = _in_scale(camera, _WIDTH_PX[1] / width)
+        metres, inside, seen = (_resized(image, camera) for image in (metres, inside, seen))
+        _check_visible(inside)
+    far = _table(metres, inside, seen, camera)
+    metres = _believed(metres, inside, seen, far)
+    filled = np.where(seen, metres, np.float32(np.median(metres[seen]))).astype(np.float32)
+    return GraspView(filled, inside, camera, far)
+
+
+def _check_visible(inside: Array) -> None:
     if not inside.any():
         raise MechSearchError("the mask has no pixel with a depth: no target is visible")
-    width = camera.fx * NETWORK_OPENING[0] / float(np.median(metres[inside]))
-    if not _WIDTH_PX[0] <= width <= _WIDTH_PX[1]:
-        raise MechSearchError(
-            f"at the target a 5 cm gripper is {width:.0f} px wide; the networks know "
-            f"{_WIDTH_PX[0]:.0f} to {_WIDTH_PX[1]:.0f} px, so resize image, mask and intrinsics by "
-            f"about {34.5 / width:.2f}"
+
+
+def _in_scale(camera: Camera, factor: float) -> Camera:
+    """Return the camera of an image with so many times the pixels each way."""
+    height, width = (max(round(side * factor), 1) for side in (camera.height, camera.width))
+    return camera.resized(height, width)
+
+
+def _resized(image: Array, camera: Camera) -> Array:
+    """Return an image in a camera's size; depths on both sides of an edge are not mixed."""
+    rows, columns = (
+        ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+        for new, old in zip((camera.height, camera.width), image.shape, strict=True)
+    )
+    return image[np.ix_(rows, columns)]
+
+
+def _ends(depths: Array) -> tuple[float, float]:
+    """Return the least and the greatest of depths, but for 1% and for three of them."""
+    ordered = np.sort(depths)
+    left = min(max(len(ordered) // 100, 3), (len(ordered) - 1) // 2)
+    return float(ordered[left]), float(ordered[-1 - left])
+
+
+def _table(metres: Array, inside: Array, seen: Array, camera: Camera) -> float:
+    """Return the depth of the surface that things around the target stand on [m]."""
+    middle = float(np.median(metres[inside]))
+    part = surroundings(inside, int(_AROUND * camera.fx / middle))
+    depths = metres[part][seen[part]]
+    depths = depths[depths <= middle + _HEAP]
+    _, last = _ends(depths)
+    return float(np.median(depths[np.abs(depths - last) <= _STRAY]))
+
+
+def _believed(
+    metres: NDArray[np.float32], inside: Array, seen: Array, far: float
+) -> NDArray[np.float32]:
+    """Return depths without those that are beyond the table, or much nearer than the target."""
+    near, _ = _ends(metres[inside])
+    deep, close = seen & (metres > far + _STRAY), inside & (metres < near - _STRAY)
+    if not (deep | close).any():
+        return metres
+    said = []
+    if deep.any():
+        last = metres[deep].max()
+        said.append(f"{deep.sum()} deeper than the table at {far:.3f} m, down to {last:.3f} m")
+    if close.any():
+        first = metres[close].min()
+        said.append(
+            f"{close.sum()} of the mask above the target at {near:.3f} m, up to {first:.3f} m"
         )
-    filled = np.where(seen, metres, np.float32(middle)).astype(np.float32)
-    return GraspView(filled, inside, camera, float(filled.max()))
+    warnings.warn(
+        f"pixels not believed: {', and '.join(said)}; they take the depth of the nearest other one",
+        stacklevel=3,
+    )
+    nearest = distance_transform_edt(
+        deep | close | ~seen, return_distances=False, return_indices=True
+    )
+    return np.where(deep | close, metres[tuple(nearest)], metres)
 
 
-def _within(depth: Path, what: str) -> Path:
-    if depth.suffix != ".npz":
-        raise MechSearchError(f"{depth} holds a depth image alone; name a file for the {what} too")
-    return depth
+def _whole(stored: Stored | dict[str, Array], what: str, path: Path) -> dict[str, Array]:
+    """Return the arrays of an NPZ that a mask or a camera is taken from."""
+    if not isinstance(stored, dict):
+        raise MechSearchError(f"{path} holds a depth image alone; name a file for the {what} too")
+    return stored
 
 
-def _array(path: Path, name: str) -> Array:
-    if not path.is_file():
-        raise MechSearchError(f"no {name} at {path}")
-    if path.suffix == ".npz":
-        arrays = read_arrays(path, name)
-        if name not in arrays:
-            raise MechSearchError(f"{path} has no array {name!r}; it has {', '.join(arrays)}")
-        return arrays[name]
-    try:
-        if path.suffix == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
-        with Image.open(path) as image:
-            # Alpha and colour say nothing about depth or membership: the first channel counts.
-            array = np.asarray(image)
-            return array[..., 0] if array.ndim == 3 else array
-    except (*ARRAY_DAMAGE, UnidentifiedImageError) as error:
-        raise MechSearchError(f"the {name} at {path} is damaged: {error}") from None
-
-
-def _numbers(path: Path) -> list[Any]:
-    found = read_json(path, "intrinsics")
-    names = ("fx", "fy", "cx", "cy")
-    if not isinstance(found, dict):
-        raise MechSearchError(f"{path} is no JSON object with {', '.join(names)}")
-    numbers = [found.get(name, found.get(f"_{name}")) for name in names]
-    wrong = [n for n, v in zip(names, numbers, strict=True) if not isinstance(v, int | float)]
-    if wrong:
-        raise MechSearchError(f"{path} lacks a number for {', '.join(wrong)} [px]")
-    return numbers
-
-
-def _flat(name: str, image: Array) -> Array:
-    array = np.asarray(image)
-    if array.ndim == 3 and array.shape[2] == 1:
-        array = array[..., 0]
-    if array.ndim != 2:
-        raise MechSearchError(f"the {name} has shape {array.shape}; expected (H, W)")
-    return array
+def _named(stored: Stored | dict[str, Array], name: str, path: Path) -> Stored:
+    """Return an image by name where a file has several arrays."""
+    if not isinstance(stored, dict):
+        return stored
+    if name not in stored:
+        raise MechSearchError(f"{path} has no array {name!r}; it has {', '.join(stored)}")
+    return stored[name]
