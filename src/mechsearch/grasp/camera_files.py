@@ -176,7 +176,7 @@ def _check(
         raise MechSearchError(f"{said}; expected focal lengths of {low:.0f} to {high:.0f} px")
     if not 0.9 <= fx / fy <= 1.1:
         raise MechSearchError(f"{said}; expected square pixels, so resize until fx and fy agree")
-    if not declared and not (-0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5):
+    if not declared and not (0 <= cx <= width - 1 and 0 <= cy <= height - 1):
         raise MechSearchError(
             f"{said}; expected cx and cy in the image: is this the camera of a larger one? If the "
             "image is a part of it, tell its own width and height there too"

@@ -102,27 +102,25 @@ def target_pixels(stored: Stored, label: int | None = None) -> NDArray[np.bool_]
     values = _flat("mask", array)
     if values.dtype.kind not in "buif":
         raise MechSearchError(f"the mask is of {values.dtype}; expected numbers or bool")
-    unknown = np.isnan(values)
-    found = np.unique(values[~unknown]).astype(np.float64)
+    found = np.unique(values[~np.isnan(values)]).astype(np.float64)
     if label is not None:
         if label not in found:
             raise MechSearchError(f"no pixel of the mask is {label}; it holds {_listed(found)}")
         return np.asarray(values == label)
-    if not (found != 0).any():
-        return np.zeros(values.shape, np.bool_)
     whole = bool((found == np.round(found)).all())
-    if not whole and found[0] >= 0 and found[-1] <= 1:
-        return np.asarray(values >= 0.5)
-    if (
-        found[-1] > 0
-        and found[:-1].tolist() in ([], [0], [-1])
-        and (len(found) > 1 or unknown.any())
-    ):
-        return np.asarray(values == found[-1])
-    if _is_soft(values, found):
-        return np.asarray(values >= 128)
+    inside: Array | None = None
+    if not (found != 0).any():
+        inside = np.zeros(values.shape, np.bool_)
+    elif not whole and found[0] >= 0 and found[-1] <= 1:
+        inside = values >= 0.5
+    elif found[-1] > 0 and found[:-1].tolist() in ([], [0], [-1]):
+        inside = values == found[-1]
+    elif _is_soft(values, found):
+        inside = values >= 128
+    if inside is not None and not inside.all():
+        return inside
     expected = "expected 0 where the target is not and one value where it is, or probabilities"
-    if len(found) == 1:
+    if inside is not None or len(found) == 1:
         expected = "so it would be the whole image; expected 0 where the target is not"
     elif whole:
         expected = "choose the target's by --label"
