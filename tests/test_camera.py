@@ -78,3 +78,13 @@ def test_unknown_views_and_wrong_depths_are_named():
         preset("overhead").back_project(np.ones((3, 3)))
     with pytest.raises(MechSearchError, match="focal length"):
         Camera(4, 4, 0.0, 1.0, 0, 0, tuple(np.eye(4).ravel()))
+    with pytest.raises(MechSearchError, match="principal point is finite, not cx nan"):
+        Camera(4, 4, 1.0, 1.0, np.nan, 0, tuple(np.eye(4).ravel()))
+    for strange in (
+        np.diag([1, 1, -1, 1]),
+        2 * np.eye(4),
+        np.full((4, 4), np.nan),
+        np.ones((4, 4)),
+    ):
+        with pytest.raises(MechSearchError, match="expected a rigid transform"):
+            Camera(4, 4, 1.0, 1.0, 0, 0, tuple(strange.ravel()))

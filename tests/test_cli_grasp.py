@@ -79,6 +79,30 @@ def test_a_users_own_image_is_scored_and_drawn(
     assert (tmp_path / "own.png").stat().st_size > 1000
 
 
+def test_grasps_are_told_in_the_pixels_that_were_brought_though_the_image_is_resized(
+    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    depth = np.full((450, 600), 0.8, np.float32)
+    depth[180:270, 240:285] = 0.76
+    depth[3:6, 3:6] = 65.535
+    labels = 7 * (depth == np.float32(0.76)) + 9 * (depth > 1)
+    k = np.array([[1657.5, 0, 299.5], [0, 1657.5, 224.5], [0, 0, 1]])
+    np.savez(tmp_path / "view.npz", depth=depth, mask=labels, K=k)
+    words = ["grasp", "score", "--network", str(network), "--depth", str(tmp_path / "view.npz")]
+    assert "values 0, 7, 9; choose the target's by --label" in failure(words, capsys)
+    main([*words, "--label", "7"])
+    said = capsys.readouterr().out
+    # Of the image as it was resized.
+    assert "note: pixels not believed: 1 deeper than the table at 0.800 m, down to 65.5" in said
+    rows = [line.split() for line in said.splitlines() if "+0.7" in line]
+    assert len(rows) >= 5
+    for column, row, z, *_, x, y, _ in (map(float, cells) for cells in rows):
+        assert column == pytest.approx(299.5 + 1657.5 * x / z, abs=2.5)
+        assert row == pytest.approx(224.5 + 1657.5 * y / z, abs=2.5)
+        assert 240 <= column < 285
+        assert 180 <= row < 270
+
+
 def test_bad_input_is_named(
     heaps: Path, image: Path, network: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,6 +16,7 @@ from PIL import Image
 from mechsearch.algorithm import RunConfig
 from mechsearch.evaluation import episodes
 from mechsearch.files import read_json
+from mechsearch.grasp.camera_files import read_camera
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps import dataset
@@ -42,7 +43,8 @@ READERS = {
     "mesh.obj": read_pieces,
     "mesh.stl": read_pieces,
     "mesh.glb": read_pieces,
-    "view.npz": lambda path: read_view(path, None, None),
+    "camera.yaml": lambda path: read_camera(path, (4, 6)),
+    "view.npz": read_view,
     "view.npy": lambda path: read_view(path, path, path),
     "view.png": lambda path: read_view(path, path, path),
     "view.json": lambda path: read_json(path, "view"),
@@ -81,7 +83,9 @@ def test_bytes_of_any_kind_are_refused_in_words(name, head, body, tmp_path):
     answered(READERS[name], tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["masses.csv", "summary.csv", "mesh.obj", "config.json"])
+@pytest.mark.parametrize(
+    "name", [*("masses.csv", "summary.csv", "mesh.obj", "config.json", "camera.yaml")]
+)
 @MANY
 @given(text=st.text(alphabet="object,mass_kg\n\"'-.0123456789eE vf/#{}[]:nan\x00é", max_size=120))
 def test_text_of_any_kind_is_refused_in_words(name, text, tmp_path):
@@ -187,7 +191,7 @@ def test_weights_of_another_origin_are_refused(meta, tmp_path):
         assert answered(READERS[name], tmp_path / name) is None
 
 
-@pytest.mark.parametrize("kind", ["L", "RGB", "RGBA", "1", "I;16"])
+@pytest.mark.parametrize("kind", ["L", "LA", "P", "RGB", "RGBA", "1", "I;16"])
 @MANY
 @given(width=st.integers(1, 12), height=st.integers(1, 12), camera=json_values)
 def test_pictures_of_any_size_and_intrinsics_of_any_shape(kind, width, height, camera, tmp_path):

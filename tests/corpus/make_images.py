@@ -1,6 +1,6 @@
 """Makes tests/corpus/images anew: one scene, stored in the ways that people store images.
 
-A table 0.8 m below a camera of fx = fy = 552.5, the target a block at 0.76 m, beside it another one.
+A table 0.8 m below a camera of fx = fy = 552.5, the target a block at 0.76 m, another beside it.
 
 python tests/corpus/make_images.py
 """
@@ -28,7 +28,9 @@ def write_deep_colour(path, colours):
     """Write colours (H, W, 3) uint16 as PNG, which Pillow does not."""
 
     def chunk(kind, body):
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
 
     height, width, _ = colours.shape
     header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)

@@ -41,7 +41,8 @@ def test_bad_images_are_refused_in_words(bumpy, mask, overhead):
     refused("intrinsics are for", bumpy[:100], mask[:100])
     refused("are holes", bumpy * 0)
     refused(r"expected \(H, W\)", np.stack([bumpy] * 3, -1))
-    refused(r"resize image, mask and intrinsics by about 0\.35", bumpy * 0.35)
+    refused("at the target 5 cm are 8.* px; expected at least 11.5", bumpy * 4)
+    refused("expected metres", bumpy / 1000)
 
 
 def test_a_gripper_of_another_size_is_refused():

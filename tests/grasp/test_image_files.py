@@ -1,5 +1,7 @@
-"""Every image of tests/corpus/images, as a depth image and as a mask; make_images.py says what is in
-them. What is expected comes from the scene, not from a reader."""
+"""Every image of tests/corpus/images, as a depth image and as a mask.
+
+make_images.py says what is in them; what is expected comes from the scene, not from a reader.
+"""
 
 from pathlib import Path
 
