@@ -58,6 +58,16 @@ def test_a_distortion_is_named():
     with pytest.warns(UserWarning, match=r"distortion_coefficients \[0.12, -0.25.*not undone"):
         camera = read_camera(FOLDER / "distorted.yaml", (240, 320))
     assert camera.fx == 552.5
+    four = json.loads((FOLDER / "four.json").read_text())
+    with pytest.warns(UserWarning, match=r"k1 \[0.1\]"):
+        camera_of({**four, "distortion": {"model": "radial", "k1": 0.1}}, (240, 320), "here")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("none", [None, "plumb_bob", [], [0, 0.0], {"model": "radial", "k1": 0}])
+def test_no_distortion_is_none(none):
+    four = json.loads((FOLDER / "four.json").read_text())
+    assert camera_of({**four, "distortion": none}, (240, 320), "here").fx == 552.5
 
 
 def test_a_part_of_a_larger_image_may_have_its_axis_outside_if_it_tells_its_size():

@@ -153,7 +153,7 @@ def _of_matrix(value: Any, name: str, where: str) -> dict[str, float]:
 
 def _array(value: Any, name: str) -> Floats:
     """Return the numbers under a name, also where they are the data of ROS or OpenCV."""
-    data = value.get("data") if isinstance(value, Mapping) else value
+    data = value.get("data", value) if isinstance(value, Mapping) else value
     try:
         array = np.asarray(data, np.float64)
         if data is None or isinstance(data, bool):
@@ -185,7 +185,13 @@ def _check(
 
 def _name_distortion(found: Mapping[Any, Any], where: str) -> None:
     for name in (name for name in _DISTORTION if name in found):
-        values = _array(found[name], name).ravel()
+        if isinstance(value := found[name], Mapping) and "data" not in value:
+            _name_distortion(value, where)
+            continue
+        # A word or nothing is a model's name, without numbers.
+        if value is None or isinstance(value, str):
+            continue
+        values = _array(value, name).ravel()
         if (values != 0).any():
             warnings.warn(
                 f"{where} has a distortion, {name} {values.tolist()}, which is not undone: places "
