@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -66,6 +68,19 @@ def test_only_the_mask_turns_green() -> None:
     np.testing.assert_array_equal(green, mask)
 
 
+def test_nothing_but_the_target_is_green_whatever_the_colours() -> None:
+    steps = np.arange(0, 256, 15, np.uint8)
+    rgb = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(18, -1, 3)
+    drawn = tinted(rgb, np.zeros(rgb.shape[:2], np.bool_)).astype(int)
+    assert (drawn[..., 1] <= drawn[..., ::2].max(axis=2)).all()
+    # Light and dark stay, but for what clipping and rounding take.
+    darker = rgb.astype(int).mean(axis=2) - drawn.mean(axis=2)
+    assert (np.abs(darker) < 1.1)[drawn.max(axis=2) < 255].all()
+    # (40, 200, 30) is nearer to grey (65, 145, 60); without its green (65, 65, 60); as light (92..).
+    leaf = tinted(np.full((4, 4, 3), (40, 200, 30), np.uint8), np.zeros((4, 4), np.bool_))
+    np.testing.assert_array_equal(leaf[0, 0], [92, 92, 85])
+
+
 def test_an_invisible_target_leaves_nothing_green() -> None:
     rgb = np.full((20, 20, 3), 120, np.uint8)
     np.testing.assert_array_equal(tinted(rgb, np.zeros((20, 20), np.bool_)), rgb)
@@ -105,3 +120,17 @@ def test_another_object_set_is_refused(models, make_evaluation) -> None:
     fewer = {name: model for name, model in models.items() if name != "lid"}
     with pytest.raises(MechSearchError, match="lacks: lid"):
         Film(record, fewer, FilmConfig())
+
+
+def test_what_the_frame_cuts_is_noted_in_the_picture(models, make_evaluation) -> None:
+    """The lid is still in view when the cube, the target, is half beyond the frame of 0.70 m."""
+    record = make_evaluation("method", 1.0).episodes[0]
+
+    def noted(x: float) -> int:
+        poses = record.poses.copy()
+        poses[:, 2, 0] = x
+        frame = Film(replace(record, poses=poses), models, FilmConfig(size=192)).frame(0, until=0)
+        return int((np.asarray(frame)[170:192] == 255).all(axis=2).sum())
+
+    assert noted(0.0) == noted(0.29) == 0
+    assert noted(0.34) > noted(0.6) > 200

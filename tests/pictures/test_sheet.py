@@ -2,7 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from mechsearch.pictures.canvas import captioned, legible
 from mechsearch.pictures.sheet import heap_sheet, object_sheet
 from mechsearch.types import MechSearchError
 
@@ -26,6 +28,19 @@ def test_heaps_show_their_target_in_green(covered, models) -> None:
     green = (sheet[..., 1] > sheet[..., 0] + 60) & (sheet[..., 1] > sheet[..., 2] + 60)
     halves = np.array_split(green, 2, axis=1)
     assert all(half.any() for half in halves)
+
+
+def test_names_of_all_scripts_can_be_read() -> None:
+    for name in ("Tasse à café", "чашка", "φλιτζάνι", "hrníček"):
+        assert legible(name) == name
+    assert legible("杯子 2") == r"\u676f\u5b50 2"
+
+    def drawn(text: str) -> bytes:
+        return captioned(Image.new("RGB", (120, 10)), text, text=14).tobytes()
+
+    # Boxes, which stand for what a font lacks, are alike.
+    assert len({drawn(text) for text in ("й", "é", "λ", "杯", "子")}) == 5
+    assert drawn("杯") == drawn(r"\u676f")
 
 
 def test_empty_and_foreign_heaps_are_refused(covered, models) -> None:

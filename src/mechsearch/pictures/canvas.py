@@ -1,8 +1,12 @@
-"""What all pictures share: heaps with a green target, captions, and rows of pictures."""
+"""What all pictures share: heaps with a green target, type, captions, and rows of pictures."""
 
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 
+import matplotlib
 import numpy as np
+from matplotlib.ft2font import FT2Font
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
@@ -14,18 +18,24 @@ from mechsearch.types import Array
 SMOOTHING = 2
 """Pictures are rendered so many times larger than they are shown."""
 
+FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+"""Folder of DejaVu, the typeface of all pictures, figures and pages."""
+
 WHITE, INK = (255, 255, 255), (32, 36, 44)
 _SOFT = (110, 116, 126)
 _TINT, _RIM = (40, 215, 70), (0, 90, 30)
 
 
 def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the image (H, W, 3) with the pixels of a mask (H, W) green and all others paler.
+    """Return the image (H, W, 3) with the pixels of a mask (H, W) green, and no others.
 
-    Shading is kept, and a dark rim sets the target apart from other green things.
+    The others are paler, and what is green among them turns grey, yellow or blue. Shading is kept.
     """
     light = rgb.mean(axis=2, keepdims=True)
     result = 0.5 * rgb + 0.5 * light
+    red, green, blue = np.moveaxis(result, -1, 0)
+    np.minimum(green, np.where(red < blue, (red + blue) / 2, red), out=green)
+    result *= light / np.maximum(result.mean(axis=2, keepdims=True), 1)
     green = np.array(_TINT) * (0.55 + 0.65 * light[mask] / 255)
     result[mask] = 0.1 * rgb[mask] + 0.9 * green
     inner = ndimage.binary_erosion(mask, iterations=max(1, len(mask) // 280), border_value=1)
@@ -36,10 +46,46 @@ def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
 def photographed(
     renderer: Renderer, camera: Camera, poses: Array, target: int, pusher: Array | None = None
 ) -> Image.Image:
-    """Return a heap with its target tinted; see `Renderer.frame`."""
+    """Return a heap with its target tinted, and a note where the frame cuts it.
+
+    See `Renderer.frame`.
+    """
     frame = renderer.frame(camera, poses, pusher, colour=True)
     assert frame.rgb is not None
-    return Image.fromarray(tinted(frame.rgb, frame.modal(target)))
+    image = Image.fromarray(tinted(frame.rgb, frame.modal(target)))
+    whole = frame.amodal[target]
+    if whole[[0, -1]].any() or whole[:, [0, -1]].any():
+        _note(image, "target partly out of view")
+    elif not whole.any():
+        _note(image, "target out of view")
+    return image
+
+
+def _note(image: Image.Image, words: str) -> None:
+    """Write on a picture, in its lower left corner."""
+    text = max(11 * SMOOTHING, image.height // 20)
+    place = (text // 3, image.height - text // 3)
+    draw, font = ImageDraw.Draw(image), _font(text)
+    draw.rectangle(draw.textbbox(place, words, font, "ld"), fill=WHITE)
+    draw.text(place, words, INK, font, "ld")
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(FONTS / "DejaVuSans.ttf", size)
+
+
+@cache
+def _glyphs() -> frozenset[int]:
+    return frozenset(FT2Font(str(FONTS / "DejaVuSans.ttf")).get_charmap())
+
+
+def legible(text: str) -> str:
+    r"""Return a text with characters that DejaVu lacks as escapes, such as \u676f."""
+    return "".join(
+        c if ord(c) in _glyphs() or c.isspace() else c.encode("unicode_escape").decode()
+        for c in text
+    )
 
 
 def shrunk(image: Image.Image, size: int) -> Image.Image:
@@ -52,9 +98,10 @@ def captioned(image: Image.Image, *lines: str, text: int) -> Image.Image:
     height = image.height + round((0.7 + 1.3 * len(lines)) * text)
     framed = Image.new("RGB", (image.width, height), WHITE)
     framed.paste(image, (0, 0))
-    draw, font = ImageDraw.Draw(framed), ImageFont.load_default(text)
+    # DejaVu is large for its size.
+    draw, font = ImageDraw.Draw(framed), _font(round(0.88 * text))
     for i, line in enumerate(lines):
-        words = line
+        words = legible(line)
         while draw.textlength(words, font=font) > image.width - 2 and len(words) > 4:
             words = words[:-2].rstrip("…") + "…"
         place = (2, image.height + text * (0.2 + 1.3 * i))
