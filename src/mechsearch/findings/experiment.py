@@ -34,7 +34,8 @@ CEILING = "look-ahead"
 _LOG = f"{layout.METRICS_FILE}*"
 """As it is, or packed."""
 Item = TypeVar("Item")
-EVALUATIONS = {"held_out": "held-out heaps", "validation": "validation heaps"}
+VALIDATION = "validation"
+EVALUATIONS = {"held_out": "held-out heaps", VALIDATION: "validation heaps"}
 """What a run scores itself on while it learns, those of more weight first."""
 
 CURVE_COLUMNS = (

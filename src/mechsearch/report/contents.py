@@ -15,7 +15,7 @@ from mechsearch.evaluation.episodes import in_words, load_episodes
 from mechsearch.findings import analysis, failure_modes
 from mechsearch.findings.analysis import Analysis
 from mechsearch.findings.claims import Ruling, answer_table, overview_table
-from mechsearch.findings.experiment import EVALUATIONS, Condition, Experiment
+from mechsearch.findings.experiment import EVALUATIONS, VALIDATION, Condition, Experiment
 from mechsearch.findings.failure_modes import BACK_AND_FORTH, HOVERING, SUCCESS
 from mechsearch.findings.scores import RANKS, ScoredPolicy, ranked_heaps
 from mechsearch.findings.tables import ATTEMPTS_NOTE, number
@@ -126,9 +126,15 @@ def _learning(experiment: Experiment) -> Iterator[Content]:
     scored = f"Scored without noise or teachers on {where}." if where else "No run was recorded."
     note = (
         f"{scored} Thick: mean over training seeds; thin: each seed; band: Student's 95 % interval "
-        "over seeds. Diamonds: final scores, and grey levels: policies that do not learn, both on "
-        "the final heaps."
+        "over seeds. "
     )
+    if experiment.scored_on == VALIDATION:
+        note += "Final scores, and policies that do not learn, are of other heaps: see the tables."
+    else:
+        note += (
+            "Diamonds: final scores, and grey levels: policies that do not learn, both on the "
+            "final heaps."
+        )
     if experiment.plan is not None:
         figure = figures.draw_learning(experiment)
         alt = "Learning curves of four metrics"

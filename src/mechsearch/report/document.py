@@ -15,14 +15,14 @@ from pathlib import Path
 from string import Template
 from typing import Final
 
-import matplotlib
 from fpdf import FPDF
-from fpdf.enums import TableBordersLayout
+from fpdf.enums import CellBordersLayout, TableBordersLayout
 from fpdf.fonts import FontFace
 from PIL import Image
 
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table
+from mechsearch.pictures.canvas import FONTS, legible
 
 _PAGE = Path(__file__).with_name("page.html")
 # A file's date is not part of what it says, and would change its bytes.
@@ -34,6 +34,7 @@ _MARGIN = 16.0
 _LINE = 1.35
 _POINT = 25.4 / 72
 _LEAST_HEIGHT = 30.0
+_LEAST_SCALE = 0.75
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _block_html(block: Content) -> str:
     raw = block.content.encode() if isinstance(block.content, str) else block.content
     source = f"data:image/{'svg+xml' if text else 'png'};base64,{base64.b64encode(raw).decode()}"
     return (
-        f'<figure><img src="{source}" alt="{escape(block.alt)}">'
+        f'<figure><div class="wide"><img src="{source}" alt="{escape(block.alt)}"></div>'
         f"<figcaption>{escape(block.caption)}</figcaption></figure>"
     )
 
@@ -185,6 +186,7 @@ def to_pdf(document: Document) -> bytes:
         pages.head(section, 14, before=5)
         for block in section.blocks:
             pages.put(block)
+        pages.flush()
     return bytes(pages.output())
 
 
@@ -196,9 +198,17 @@ class _Pages(FPDF):
         self.set_creation_date(_DATE)
         self.set_margins(_MARGIN, _MARGIN)
         self.set_auto_page_break(True, _MARGIN)
-        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-        self.add_font(_FAMILY, "", fonts / "DejaVuSans.ttf")
-        self.add_font(_FAMILY, "B", fonts / "DejaVuSans-Bold.ttf")
+        self.add_font(_FAMILY, "", FONTS / "DejaVuSans.ttf")
+        self.add_font(_FAMILY, "B", FONTS / "DejaVuSans-Bold.ttf")
+        self._waiting: list[Picture] = []
+
+    def normalize_text(self, text: str) -> str:
+        """Return a text with what the typeface lacks as escapes."""
+        return super().normalize_text(legible(text))
+
+    def header(self) -> None:
+        """Begin a page with the pictures for which the last one had no room."""
+        self._place()
 
     def footer(self) -> None:
         """Number the page."""
@@ -208,21 +218,28 @@ class _Pages(FPDF):
         self.cell(0, 5, str(self.page_no()), align="C")
 
     def put(self, block: Content) -> None:
-        """Add one block below the last."""
+        """Add one block below the last; tables fill the page on which a picture has no room."""
         if isinstance(block, Paragraph):
+            self.flush()
             size = {"note": 8.0, "verdict": 10.5}.get(block.kind, 9.5)
             colour = _SOFT if block.kind == "note" else _INK
             self.write_text(block.text, size, colour=colour, after=2)
         elif isinstance(block, Table):
             self.put_table(block)
         else:
-            self.put_picture(block)
+            self._waiting.append(block)
+            self._place()
+
+    def flush(self) -> None:
+        """Add the pictures that wait for room."""
+        while self._waiting:
+            self.add_page()
 
     def head(self, section: Section, size: float, before: float) -> None:
         """Add a heading, on a new page if what comes first would not fit below it."""
         self.ln(before)
         first = section.blocks[0] if section.blocks else None
-        below = self.fitted(first)[1] if isinstance(first, Picture) else 0
+        below = _LEAST_SCALE * self.fitted(first)[1] if isinstance(first, Picture) else 0
         self.need(_LEAST_HEIGHT + below)
         self.write_text(section.title, size, bold=True, after=1.5)
 
@@ -246,12 +263,9 @@ class _Pages(FPDF):
         self.ln(after)
 
     def put_table(self, content: Table) -> None:
-        """Add a table whose headings come again on every page."""
+        """Add a table whose caption and headings come again on every page."""
         columns = len(content.columns)
         size = 7.5 if content.words or columns < 8 else 6.5 if columns < 11 else 6.0
-        self.need(_LEAST_HEIGHT)
-        if content.caption:
-            self.write_text(content.caption, 8.5, bold=content.words, after=1)
         self.set_font(_FAMILY, "", size)
         self.set_text_color(*_INK)
         self.set_draw_color(190, 194, 200)
@@ -262,10 +276,17 @@ class _Pages(FPDF):
             col_widths=tuple(content.widths) or _widths(content),
             headings_style=FontFace(emphasis="BOLD", color=_INK),
             line_height=size * _POINT * 1.3,
+            num_heading_rows=2 if content.caption else 1,
             padding=(0.8, 1.0),
             text_align=align,
             v_align="TOP",
         ) as table:
+            if content.caption:
+                emphasis = "BOLD" if content.words else ""
+                style, border = FontFace(emphasis=emphasis, size_pt=8.5), CellBordersLayout.NONE
+                table.row().cell(
+                    content.caption, "LEFT", style=style, colspan=columns, border=border
+                )
             table.row(content.columns)
             for i, cells in enumerate(content.rows):
                 row = table.row()
@@ -275,14 +296,24 @@ class _Pages(FPDF):
                     row.cell(text, style=style)
         self.ln(3)
 
-    def put_picture(self, picture: Picture) -> None:
-        """Add a picture over the whole width, or as high as a page, with its caption."""
+    def _place(self) -> None:
+        """Draw waiting pictures in their order, a little smaller if they then fit on this page."""
+        while self._waiting:
+            picture = self._waiting[0]
+            width, height = self.fitted(picture)
+            self.set_font(_FAMILY, "", 8)
+            line = 8 * _POINT * _LINE
+            below = self.multi_cell(0, line, picture.caption, dry_run=True, output="HEIGHT")
+            scale = min(1, (self.h - _MARGIN - self.get_y() - below - 4) / height)
+            if scale < _LEAST_SCALE:
+                break
+            self._draw(self._waiting.pop(0), scale * width, scale * height)
+
+    def _draw(self, picture: Picture, width: float, height: float) -> None:
         content = picture.content
         if isinstance(content, str):
             # Who made it and when is none of a drawing's shapes.
             content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL).encode()
-        width, height = self.fitted(picture)
-        self.need(height + 8)
         left = _MARGIN + (self.epw - width) / 2
         self.image(io.BytesIO(content), x=left, w=width, h=height, alt_text=picture.alt)
         self.ln(1)

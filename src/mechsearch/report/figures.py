@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from mechsearch.evaluation.episodes import (
     HIGHER_IS_BETTER,
@@ -24,6 +25,7 @@ from mechsearch.evaluation.episodes import (
     SummaryRow,
 )
 from mechsearch.findings.experiment import (
+    VALIDATION,
     Condition,
     Experiment,
     LearningCurve,
@@ -31,6 +33,7 @@ from mechsearch.findings.experiment import (
     learning_curve,
 )
 from mechsearch.findings.tables import PAPER_METRICS, Scores, display
+from mechsearch.pictures.canvas import legible
 from mechsearch.types import Floats, MechSearchError
 
 # Okabe and Ito's colours, told apart by colour-blind readers; yellow is left out on white paper.
@@ -57,6 +60,7 @@ _STYLE: dict[str, Any] = {
     "svg.hashsalt": "mechsearch",
     "font.size": 9.5,
     "font.family": "DejaVu Sans",
+    "text.parse_math": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#5b616b",
@@ -77,6 +81,8 @@ ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
 ABLATION_METRICS = ("reward", "visibility_change")
 RUN_METRICS = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")
 RETRIEVAL_RUN_METRICS = ("reward", "retrieved_within_1", "retrieved_within_5", "push_actions")
+ACTIONS = "training actions"
+"""What all curves of runs are drawn over: actions executed to learn from."""
 _WINDOW = 15
 
 
@@ -99,6 +105,9 @@ def panels(number: int, columns: int, width: float, height: float) -> tuple[Figu
 def to_svg(figure: Figure) -> str:
     """Return a figure as SVG text without a date."""
     buffer = io.StringIO()
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text(legible(text.get_text()))
     with _style():
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
@@ -112,7 +121,7 @@ def draw_scores(scores: Mapping[str, Sequence[Scores]], highlight: Sequence[str]
         highlight: Policies drawn in colour; the others are grey.
     """
     with _style():
-        height = 0.9 + 0.27 * sum(max(1, len(seeds)) for seeds in scores.values())
+        height = 0.9 + 0.22 * sum(max(1, len(seeds)) for seeds in scores.values())
         shown = _shown_metrics(scores)
         figure, axes = panels(len(shown), 3, 3.4, height)
         for i, (metric, ax) in enumerate(zip(shown, axes, strict=True)):
@@ -236,7 +245,7 @@ def _scores_panel(
     arrow = "more is better →" if HIGHER_IS_BETTER[metric] else "← less is better"
     ax.set_title(display(metric).label)
     ax.set_xlabel(arrow, fontsize=8, color=GREY)
-    ax.set_yticks(ticks, list(scores))
+    ax.set_yticks(ticks, [legible(name) for name in scores])
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
     ax.grid(axis="x", **_RULES)
@@ -303,6 +312,9 @@ def draw_curves(
 ) -> Figure:
     """Return the curves of some variants: metrics in rows, conditions in columns.
 
+    Final scores, and levels of policies that do not learn, are drawn unless the curves are on
+    validation heaps: theirs are others.
+
     Args:
         experiment: With the runs.
         metrics: One row each, or two in a row where there is one condition; of runs that retrieve
@@ -322,8 +334,21 @@ def draw_curves(
         figure, axes = panels(len(places), columns, PRINTED_WIDTH / columns, height)
         for ax, (metric, condition) in zip(axes, places, strict=True):
             _curves_panel(ax, condition, metric, variants, kind)
-        _label_below(figure, axes, columns, "training actions", ncols=4)
+        scored = [one for condition in conditions for one in condition.scored]
+        if scored and kind != VALIDATION:
+            heaps = _either(len(one.heaps) for one in scored)
+            axes[0].plot([], [], "D", color=GREY, markersize=5, label=f"final score, {heaps}")
+            axes[0].plot([], [], color=GREY, linewidth=1, label=f"does not learn, {heaps}")
+        records = [record for run in experiment.runs for record in run.records.get(kind, ())]
+        curves = _either(int(record["heaps"]) for record in records if "heaps" in record)
+        below = f"{ACTIONS}; curves on {curves}" if records else ACTIONS
+        _label_below(figure, axes, columns, below, ncols=3)
     return figure
+
+
+def _either(counts: Iterable[int]) -> str:
+    """Return numbers of heaps in words, such as "300 heaps"."""
+    return f"{' or '.join(map(str, sorted(set(counts))))} heaps".lstrip()
 
 
 def draw_training(run: Run) -> Figure | None:
@@ -349,13 +374,13 @@ class _Diagram(NamedTuple):
     title: str
     kind: str
     keys: Sequence[str]
-    over: str = "step"
+    over: str = "executed"
     shares: bool = False
 
 
 _PUSHES = (
-    _Diagram("return of each episode", "episode", ["return"], "executed"),
-    _Diagram("pushes in each episode", "episode", ["pushes"], "executed"),
+    _Diagram("return of each episode", "episode", ["return"]),
+    _Diagram("pushes in each episode", "episode", ["pushes"]),
     _Diagram("loss of each fit", "fit", ["loss"]),
     _Diagram("rewards to come: at once, less for occlusion", "fit", ["at_once", "by_occlusion"]),
     _Diagram("pushes learnt from", "fit", ["pushes"]),
@@ -367,10 +392,10 @@ def _reinforcement(run: Run) -> Sequence[_Diagram]:
     choices = [key for key in run.keys("episode") if key.startswith("chosen_")]
     expected = "Q at the start, and the return that followed"
     return (
-        _Diagram("return of each episode", "episode", ["return"]),
-        _Diagram(expected, "episode", ["q_start", "return_start"]),
-        _Diagram("share of saturated actions", "episode", ["saturated"], shares=True),
-        _Diagram("who chose the actions", "episode", choices, shares=True),
+        _Diagram("return of each episode", "episode", ["return"], "step"),
+        _Diagram(expected, "episode", ["q_start", "return_start"], "step"),
+        _Diagram("share of saturated actions", "episode", ["saturated"], "step", shares=True),
+        _Diagram("who chose the actions", "episode", choices, "step", shares=True),
     )
 
 
@@ -382,7 +407,7 @@ def _draw_diagram(ax: Axes, run: Run, diagram: _Diagram) -> None:
             label = key.removeprefix("chosen_").replace("_", " ")
             ax.plot(steps, running_mean(values, window), color=colour, label=label)
     ax.set_title(diagram.title)
-    ax.set_xlabel("training action")
+    ax.set_xlabel(ACTIONS)
     if diagram.shares:
         ax.set_ylim(-0.02, 1.02)
     if len(diagram.keys) > 1 and ax.lines:
@@ -407,9 +432,9 @@ def _curves_panel(
     means = {
         name: float(condition.matrices([name], metric)[0].mean())
         for name in condition.policies
-        if condition.measured(metric, name)
+        if kind != VALIDATION and condition.measured(metric, name)
     }
-    ends = {name: means.get(name, np.nan) for name in variants if name in condition.policies}
+    ends = {name: means[name] for name in variants if name in means}
     levels = {name: mean for name, mean in means.items() if name not in condition.learnt}
     heights = [end for found in drawn.values() for end in (found.seeds.min(), found.seeds.max())]
     heights += [mean for name, mean in means.items() if name in ends or name in levels]
