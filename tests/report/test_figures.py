@@ -1,3 +1,4 @@
+import warnings
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -39,3 +40,13 @@ def test_conditions_and_lengths_of_training_are_told_apart(evaluations) -> None:
 def test_an_empty_summary_is_refused() -> None:
     with pytest.raises(MechSearchError, match="no rows to draw"):
         draw_summary([])
+
+
+def test_names_of_all_scripts_are_drawn_as_they_are_or_as_escapes(evaluations) -> None:
+    scores = [score(evaluations["method"].episodes)]
+    with warnings.catch_warnings():
+        # Matplotlib warns of glyphs that are missing.
+        warnings.simplefilter("error")
+        drawn = to_svg(draw_scores({"чашка": scores, "杯子": scores, "a$b$": scores}))
+    for label in ("чашка", r"\u676f\u5b50", "a$b$"):
+        assert f"<!-- {label} -->" in drawn

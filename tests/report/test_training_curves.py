@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mechsearch.findings.experiment import Condition, Experiment, Run, read_run
+from mechsearch.findings.experiment import Condition, Experiment, Run, read_experiment, read_run
 from mechsearch.report import figures
 from mechsearch.report.figures import to_svg
 from mechsearch.types import MechSearchError
@@ -59,6 +60,22 @@ def test_curves_are_drawn_as_svg_the_same_each_time(run_directory: Path) -> None
     assert ElementTree.fromstring(drawn[0]).tag.endswith("svg")
     assert experiment.scored_on == "validation"
     assert figures.draw_training(run) is not None
+
+
+@pytest.mark.parametrize(("kind", "told"), [("held_out", True), ("validation", False)])
+def test_curves_stand_beside_scores_of_the_same_kind_of_heaps(sweep, kind, told) -> None:
+    """Curves on validation heaps are alone; others say on how many heaps each line was scored."""
+    (condition, *_) = read_experiment(sweep).conditions.values()
+    record = {"step": 100, "reward": -20.0, "heaps": 7}
+    run = Run("method", 0, {kind: [record, {**record, "step": 200}]})
+    experiment = Experiment(None, {"single": replace(condition, runs={"method": (run,)})})
+    (ax, *_) = (figure := figures.draw_curves(experiment, ["reward"], ["method"], 2.5)).axes
+    assert ax.get_xlabel() == "training actions; curves on 7 heaps"
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    heaps = len(condition.scored[0].heaps)
+    both = [f"final score, {heaps} heaps", f"does not learn, {heaps} heaps"]
+    assert words == (["method", *both] if told else ["method"])
+    assert ("idle" in [text.get_text() for text in ax.texts]) is told
 
 
 def test_a_run_that_logged_nothing_has_no_curves(tmp_path: Path) -> None:

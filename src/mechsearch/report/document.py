@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
 from string import Template
+from types import MethodType
 from typing import Final
 
 from fpdf import FPDF
@@ -208,7 +209,9 @@ class _Pages(FPDF):
 
     def header(self) -> None:
         """Begin a page with the pictures for which the last one had no room."""
-        self._place()
+        # To measure rows, fpdf2 silences its output and begins pages that it drops.
+        if isinstance(self._out, MethodType):
+            self._place()
 
     def footer(self) -> None:
         """Number the page."""
