@@ -76,7 +76,7 @@ def test_nothing_but_the_target_is_green_whatever_the_colours() -> None:
     # Light and dark stay, but for what clipping and rounding take.
     darker = rgb.astype(int).mean(axis=2) - drawn.mean(axis=2)
     assert (np.abs(darker) < 1.1)[drawn.max(axis=2) < 255].all()
-    # (40, 200, 30) is nearer to grey (65, 145, 60); without its green (65, 65, 60); as light (92..).
+    # Half grey it is (65, 145, 60), with no more green than red (65, 65, 60), as light (92, ...).
     leaf = tinted(np.full((4, 4, 3), (40, 200, 30), np.uint8), np.zeros((4, 4), np.bool_))
     np.testing.assert_array_equal(leaf[0, 0], [92, 92, 85])
 

@@ -23,7 +23,8 @@ PAPER_METRICS = ("reward", "visibility_change", "episode_actions", "graspability
 
 EPISODES_NOTE = (
     "Every episode counts, lost targets and failed simulations included; an unfinished one counts "
-    "all its actions. Clutter moved is the path length of a non-target object."
+    "all its actions. Clutter moved is the path length of a non-target object, averaged over all, "
+    "those off the table included; these count as still."
 )
 ATTEMPTS_NOTE = (
     "A target is retrieved within so many attempts if it was alone in the hand after at most so "

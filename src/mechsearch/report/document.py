@@ -285,10 +285,10 @@ class _Pages(FPDF):
             v_align="TOP",
         ) as table:
             if content.caption:
-                emphasis = "BOLD" if content.words else ""
-                style, border = FontFace(emphasis=emphasis, size_pt=8.5), CellBordersLayout.NONE
+                face = FontFace(emphasis="BOLD" if content.words else "", size_pt=8.5)
+                border = CellBordersLayout.NONE
                 table.row().cell(
-                    content.caption, "LEFT", style=style, colspan=columns, border=border
+                    content.caption, "LEFT", None, face, colspan=columns, border=border
                 )
             table.row(content.columns)
             for i, cells in enumerate(content.rows):
@@ -307,6 +307,7 @@ class _Pages(FPDF):
             self.set_font(_FAMILY, "", 8)
             line = 8 * _POINT * _LINE
             below = self.multi_cell(0, line, picture.caption, dry_run=True, output="HEIGHT")
+            assert isinstance(below, float)
             scale = min(1, (self.h - _MARGIN - self.get_y() - below - 4) / height)
             if scale < _LEAST_SCALE:
                 break
