@@ -1,5 +1,6 @@
 """Claims about sets from folders, and sets by name."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from mechsearch.objects.catalog import (
     read_masses,
     ycb_masses,
 )
-from mechsearch.objects.meshes import convex
+from mechsearch.objects.meshes import cache, convex
 from mechsearch.objects.ycb.download import SCAN
 from mechsearch.types import MechSearchError
 
@@ -133,15 +134,70 @@ def test_missing_masses_are_one_error_that_names_the_objects(folder):
         load_folder(folder)
 
 
-def test_corrupt_meshes_are_one_error_that_names_them_and_the_rest_is_kept(folder, monkeypatch):
+def test_damaged_meshes_are_found_before_any_is_prepared_and_left_out_by_name(folder, monkeypatch):
     (folder / "cube.glb").write_bytes(b"glTF?")
-    (folder / "plank.stl").write_bytes(b"")
-    with pytest.raises(MechSearchError, match=r"cube\.glb.*plank\.stl"):
-        load_folder(folder, workers=1)
-    (folder / "cube.glb").unlink()
-    (folder / "plank.stl").unlink()
-    monkeypatch.setattr("mechsearch.objects.meshes.cache.prepare_into", None)
-    assert list(load_folder(folder).models) == ["brick"]
+    (folder / "plank.stl").write_bytes(b"\x00" * 90)
+    prepare_into, warned = cache.prepare_into, []
+
+    def count(*args):
+        warned.append(len(caught))
+        return prepare_into(*args)
+
+    monkeypatch.setattr(cache, "prepare_into", count)
+    with pytest.warns(UserWarning, match="left out") as caught:
+        found = load_folder(folder, workers=1)
+    assert [str(one.message).partition(":")[0] for one in caught] == [
+        "cube is left out",
+        "plank is left out",
+    ]
+    assert warned == [2]
+    assert list(found.models) == ["brick"]
+    assert list(found.excluded) == ["cube", "plank"]
+    assert "expected 0 triangles" in found.excluded["plank"]
+
+
+def test_a_set_of_damaged_meshes_alone_is_refused(tmp_path):
+    (tmp_path / "cube.glb").write_bytes(b"glTF?")
+    write_masses(tmp_path, "cube,0.1")
+    with (
+        pytest.warns(UserWarning, match="cube is left out"),
+        pytest.raises(MechSearchError, match=r"no object .* \(cube: cannot read the mesh"),
+    ):
+        load_folder(tmp_path, workers=1)
+
+
+@pytest.mark.parametrize("hidden", ["._brick.obj", ".draft.stl"])
+def test_hidden_files_are_no_objects(folder, hidden):
+    (folder / hidden).write_bytes(b"Mac OS X")
+    assert list(find_meshes(folder)) == ["brick", "cube", "plank"]
+
+
+def test_names_meet_their_masses_in_either_form_of_accents_and_any_case(tmp_path):
+    put(tmp_path / "ta\u0302che.obj")
+    put(tmp_path / "Brick.obj")
+    write_masses(tmp_path, "t\u00e2che,0.2", "BRICK,0.3")
+    models = load_folder(tmp_path, workers=1).models
+    assert {name: model.mass for name, model in models.items()} == {"t\u00e2che": 0.2, "Brick": 0.3}
+
+
+def test_a_name_may_be_as_long_as_a_file_allows(tmp_path):
+    name = 236 * "n"
+    put(tmp_path / f"{name}.obj")
+    write_masses(tmp_path, f"{name},0.2")
+    assert list(load_folder(tmp_path, workers=1).models) == [name]
+
+
+def test_every_texture_that_is_not_there_is_named_again_each_time(folder):
+    (folder / "brick.mtl").write_text("newmtl m\nmap_Kd my skin.png\nmap_Ks gone.png\n")
+    obj = folder / "brick.obj"
+    obj.write_text("mtllib brick.mtl gone.mtl\nusemtl m\n" + obj.read_text())
+    for _ in range(2):
+        with pytest.warns(UserWarning, match="is without") as caught:
+            load_folder(folder, workers=1)
+        said = [str(one.message) for one in caught]
+        assert len(said) == 2
+        assert "brick is without 'my skin.png'" in said[0]
+        assert "brick is without 'gone.mtl'" in said[1]
 
 
 def test_a_missing_folder_a_file_and_an_empty_folder_are_refused(tmp_path):
@@ -172,8 +228,54 @@ def test_a_folder_where_nothing_can_lie_in_a_heap_is_refused_with_reasons(tmp_pa
 @pytest.mark.parametrize("value", ["heavy", "", "-1", "0", "nan", "inf"])
 def test_a_mass_that_is_no_positive_number_is_named(tmp_path, value):
     write_masses(tmp_path, f"brick,{value}")
-    with pytest.raises(MechSearchError, match=r"mass of 'brick' in .*positive number of kilograms"):
+    with pytest.raises(MechSearchError, match=r"mass of 'brick' is .*positive number of kilograms"):
         read_masses(tmp_path / "masses.csv")
+
+
+def test_all_bad_rows_are_one_error_that_names_their_lines(tmp_path):
+    rows = ["mug,1,35", "", "can,0.3,", "can,0.4", ",0.2", "jar,light", "cup,0.1"]
+    write_masses(tmp_path, *rows)
+    with pytest.raises(MechSearchError) as error:
+        read_masses(tmp_path / "masses.csv")
+    _, *faults = re.split(r"line (?=\d+: )", str(error.value))
+    assert [fault[:12] for fault in faults] == [
+        *("2: 3 cells, ", "5: 'can' aga", "6: no object", "7: the mass "),
+    ]
+    assert "decimal comma" in faults[0]
+    assert "after line 4" in faults[1]
+
+
+def test_half_a_decimal_number_is_no_category(tmp_path):
+    write_masses(tmp_path, "mug,1,35", header="object,mass_kg,category")
+    with pytest.raises(MechSearchError, match=r"line 2: 3 cells.*decimal comma"):
+        read_masses(tmp_path / "masses.csv")
+
+
+@pytest.mark.parametrize("comma", [";", "\t"])
+def test_decimal_commas_are_understood_where_cells_are_apart_by_something_else(tmp_path, comma):
+    table = "object;mass_kg;category\nmug;1,35;cup\ncan;0.5;\n".replace(";", comma)
+    (tmp_path / "masses.csv").write_text("\ufeff" + table, encoding="utf-8")
+    found = read_masses(tmp_path / "masses.csv")
+    assert {name: row[:2] for name, row in found.items()} == {
+        "mug": (1.35, "cup"),
+        "can": (0.5, ""),
+    }
+
+
+def test_rows_without_a_mesh_are_named_with_their_lines(folder):
+    write_masses(folder, "brick,0.3", "brikc,0.3", "plank,0.2", "cube,0.1", "mug,0.1")
+    with pytest.warns(UserWarning, match=r"rows without a mesh: brikc \(line 3\), mug \(line 6\)"):
+        load_folder(folder, workers=1)
+
+
+def test_a_row_without_a_category_keeps_the_published_one_and_the_object_its_hash(tmp_path):
+    put(tmp_path / "036_wood_block" / SCAN)
+    write_masses(tmp_path, "036_wood_block,0.729")
+    model = load_folder(tmp_path, workers=1).models["036_wood_block"]
+    assert model.category == "block"
+    write_masses(tmp_path, "036_wood_block,0.729,object", header="object,mass_kg,category")
+    named = load_folder(tmp_path, workers=1).models["036_wood_block"]
+    assert (named.category, named.content_hash) == ("object", model.content_hash)
 
 
 def test_a_table_without_its_columns_is_refused(tmp_path):
@@ -194,7 +296,7 @@ def test_the_published_table_has_the_masses_of_the_paper():
         "025_mug": 0.118,
         "035_power_drill": 0.895,
         "056_tennis_ball": 0.058,
-        "077_rubiks_cube": 0.252,
+        "077_rubiks_cube": 0.094,
     }
     assert {name: table[name].mass for name in expected} == expected
     assert all(0.0005 < entry.mass < 2 for entry in table.values())

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mechsearch.objects.meshes.prepare import merge_pieces, read_pieces, source_files
+from mechsearch.objects.meshes.prepare import merge_pieces
+from mechsearch.objects.meshes.reading import read_pieces, source_files
 from mechsearch.types import MechSearchError
 
 OBJ = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

@@ -17,7 +17,7 @@ from mechsearch.cli.command import (
     say_table,
     wrote,
 )
-from mechsearch.heaps.dataset import HeapSet, load_heaps, open_heaps
+from mechsearch.heaps.dataset import HeapSet, load_heaps, objects_of
 from mechsearch.heaps.generate import GenerateConfig, generate, verify
 from mechsearch.pictures.sheet import heap_sheet
 
@@ -50,7 +50,7 @@ class ShowHeaps(OfObjects):
     """Say what is in a heap set, and draw it.
 
     Attributes:
-        heaps: Heap set (.parquet).
+        heaps: Heap set (.parquet), or household-single or household-dual, the embedded ones.
         out: Picture to write; none by default.
         limit: Heaps to draw, spread evenly over the set.
     """
@@ -64,7 +64,7 @@ class ShowHeaps(OfObjects):
         heap_set = load_heaps(self.heaps)
         describe(heap_set)
         if self.out:
-            _, objects = open_heaps(self.heaps, self.objects)
+            objects = objects_of(heap_set, self.objects)
             limit = min(self.limit, len(heap_set.heaps))
             chosen = [heap_set.heaps[i] for i in heap_set.choose("all", limit)]
             save(self.out, heap_sheet(chosen, objects.models, heap_set.camera).save)
@@ -75,7 +75,7 @@ class VerifyHeaps(OfObjects, Parallel):
     """Restore every heap; prove that it rests and that its target is occluded as recorded.
 
     Attributes:
-        heaps: Heap set (.parquet).
+        heaps: Heap set (.parquet), or household-single or household-dual, the embedded ones.
     """
 
     heaps: Annotated[Path, tyro.conf.Positional]

@@ -22,6 +22,12 @@ HEAPS_FORMAT = 1
 CONDITIONS = {"single": (5, 10, 15), "dual": (5, 6, 7, 8, 9, 10)}
 """Objects in each heap (paper, section IV-A): one heap near the centre, or two heaps apart."""
 
+EMBEDDED = {
+    f"household-{condition}": Path(__file__).with_name(f"household_{condition}.parquet")
+    for condition in CONDITIONS
+}
+"""Small heap sets of household objects that the package holds."""
+
 SPLITS = ("held-out", "train", "all")
 """Halves of a heap set, and both of them."""
 
@@ -177,7 +183,7 @@ def heap_from_json(row: Mapping[str, Any]) -> Heap:
     return Heap(**{**row, "objects": tuple(row["objects"]), "poses": poses})
 
 
-def save_heaps(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> HeapSet:
+def save_heaps(path: str | Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> HeapSet:
     """Write a heap set, whole or not at all."""
     heap_set = HeapSet(tuple(heaps), dict(manifest), _hash(heaps, manifest))
     metadata = {
@@ -186,19 +192,28 @@ def save_heaps(path: Path, heaps: Sequence[Heap], manifest: Mapping[str, Any]) -
     }
     table = pa.Table.from_pylist([heap_to_json(heap) for heap in heaps], _SCHEMA)
     write_whole(
-        path, lambda partial: pq.write_table(table.replace_schema_metadata(metadata), partial)
+        Path(path), lambda partial: pq.write_table(table.replace_schema_metadata(metadata), partial)
     )
     return heap_set
 
 
-def load_heaps(path: Path) -> HeapSet:
+def load_heaps(path: str | Path) -> HeapSet:
     """Read a heap set.
+
+    Args:
+        path: File, or one of `EMBEDDED` where there is no such file.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or no heap set of a known format.
     """
+    path = Path(path)
+    if not path.exists() and path.name.replace("_", "-") in EMBEDDED:
+        path = EMBEDDED[path.name.replace("_", "-")]
     if not path.is_file():
-        raise MechSearchError(f"no heap set at {path}; make one with `mechsearch heaps generate`")
+        raise MechSearchError(
+            f"no heap set at {path}; make one with `mechsearch heaps generate`, or name one that "
+            f"the package holds: {', '.join(EMBEDDED)}"
+        )
     try:
         table = pq.read_table(path)
         metadata = table.schema.metadata or {}
@@ -231,7 +246,7 @@ def _hash(heaps: Sequence[Heap], manifest: Mapping[str, Any]) -> str:
 
 def embedded_file(condition: str) -> Path:
     """Return the file of the small heap set of household objects that the package holds."""
-    return Path(__file__).with_name(f"household_{check_condition(condition)}.parquet")
+    return EMBEDDED[f"household-{check_condition(condition)}"]
 
 
 def embedded_heaps(condition: str) -> HeapSet:
@@ -239,7 +254,7 @@ def embedded_heaps(condition: str) -> HeapSet:
     return load_heaps(embedded_file(condition))
 
 
-def open_heaps(path: Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
+def open_heaps(path: str | Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
     """Return a heap set and its objects, once it is certain that they belong together.
 
     Args:
@@ -250,15 +265,33 @@ def open_heaps(path: Path, objects: str = "") -> tuple[HeapSet, ObjectSet]:
         MechSearchError: If one of the two is missing or damaged, or they do not fit.
     """
     heap_set = load_heaps(path)
-    found = object_set(objects or heap_set.objects)
-    check_objects(heap_set, found)
-    return heap_set, found
+    return heap_set, objects_of(heap_set, objects)
 
 
 @cache
 def object_set(spec: str) -> ObjectSet:
     """Return an object set, loaded once in each process."""
     return load_object_set(spec)
+
+
+def objects_of(heap_set: HeapSet, objects: str = "") -> ObjectSet:
+    """Return the objects of a heap set, once it is certain that they are.
+
+    Args:
+        heap_set: The heaps.
+        objects: Object set; empty takes the one that the heaps were made with.
+
+    Raises:
+        MechSearchError: If it cannot be loaded, or is another.
+    """
+    try:
+        found = object_set(objects or heap_set.objects)
+    except MechSearchError as error:
+        if objects:
+            raise
+        raise MechSearchError(f"{_whose(heap_set)}: {error}") from None
+    check_objects(heap_set, found)
+    return found
 
 
 def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
@@ -271,7 +304,14 @@ def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
     wrong = objects.differing({name: heap_set.manifest["object_hashes"][name] for name in used})
     if wrong:
         raise MechSearchError(
-            f"this heap set was made with {heap_set.objects!r} objects, and "
-            f"{len(wrong)} of the {len(used)} that it uses are missing from or differ in "
-            f"{objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
+            f"{_whose(heap_set)}: {len(wrong)} of the {len(used)} that it uses are missing from or "
+            f"differ in {objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
         )
+
+
+def _whose(heap_set: HeapSet) -> str:
+    """Return whose heaps they are, and how to give these objects."""
+    return (
+        f"this heap set was made with {heap_set.objects!r} objects; name them, or the folder where "
+        "they are, by --objects"
+    )

@@ -30,10 +30,10 @@ from mechsearch.heaps.dataset import (
     Heap,
     HeapSet,
     check_condition,
-    check_objects,
     heap_from_json,
     heap_to_json,
     object_set,
+    objects_of,
     save_heaps,
 )
 from mechsearch.objects.model import ObjectModel, ObjectSet
@@ -89,6 +89,7 @@ class GenerateConfig:
     counts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "objects", str(self.objects))
         check_condition(self.condition)
         preset(self.camera)
         if self.drop not in DROPS:
@@ -194,7 +195,7 @@ def drops_until_full(quotas: Iterable[Quota]) -> Iterator[Drop]:
 
 def generate(
     config: GenerateConfig,
-    path: Path,
+    path: str | Path,
     workers: int = 1,
     progress: Progress = silent,
     mapper: Mapper = map_in_order,
@@ -214,6 +215,7 @@ def generate(
         MechSearchError: If `path` holds another set, the objects are too few, or another process
             generates this set.
     """
+    path = Path(path)
     with alone(path, f"the heap set {path}"):
         objects = object_set(config.objects)
         needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
@@ -440,9 +442,8 @@ def verify(
     Raises:
         MechSearchError: If the set was made with other objects.
     """
-    named = objects or heap_set.objects
-    check_objects(heap_set, object_set(named))
-    check = partial(_checked, named, heap_set.camera)
+    objects_of(heap_set, objects)
+    check = partial(_checked, objects or heap_set.objects, heap_set.camera)
     checks = map_in_order(check, heap_set.heaps, workers, ATTEMPT_LIMIT, _unverified)
     for i, result in enumerate(checks):
         progress("verified", i + 1, len(heap_set.heaps))

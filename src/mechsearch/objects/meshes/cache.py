@@ -5,6 +5,7 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,13 @@ import numpy as np
 
 from mechsearch.files import cache_folder, read_arrays, write_whole
 from mechsearch.objects.meshes import convex, prepare
-from mechsearch.objects.meshes.prepare import Prepared, Source, source_files
+from mechsearch.objects.meshes.prepare import Prepared, Source
+from mechsearch.objects.meshes.reading import (
+    READING,
+    missing_files,
+    read_pieces,
+    source_files,
+)
 from mechsearch.objects.model import FLAGGED_ERROR, FRICTION, TEXEL_ROWS, ObjectModel
 from mechsearch.processes import PROCESSORS, Failure, Progress, map_in_order, silent
 from mechsearch.types import Array, MechSearchError
@@ -24,44 +31,81 @@ _ARRAYS = ("vertices", "faces", "texels", "inertia")
 
 def prepare_all(
     sources: Sequence[Source], workers: int | None = None, progress: Progress = silent
-) -> list[Prepared]:
+) -> list[Prepared | MechSearchError]:
     """Return every object prepared, from the cache where it holds it.
+
+    What cannot be read or prepared is named in a warning, as are materials and textures that are
+    not there.
 
     Args:
         sources: What to prepare.
         workers: Most processes; as many as there are processors by default.
         progress: Told after each object that no cache held.
 
+    Returns:
+        For each source the object, or why it is left out.
+
     Raises:
-        MechSearchError: If objects cannot be prepared; names every one of them.
+        MechSearchError: If the cache cannot be written.
     """
-    paths = {source: cache_path(source) for source in sources}
-    found = {source: cached(path) for source, path in paths.items()}
+    found = {source: _kept(source) for source in sources}
     todo = [source for source, done in found.items() if done is None]
     crew = min(workers or PROCESSORS, len(todo))
-    failures = []
-    for done, outcome in enumerate(map_in_order(_outcome, todo, crew, None, _lost), start=1):
-        source = todo[done - 1]
-        if isinstance(outcome, MechSearchError):
-            failures.append(str(outcome))
-        elif outcome:
-            warnings.warn(f"{source.name} keeps one hull: {outcome}", stacklevel=3)
-        found[source] = cached(paths[source])
+    # All are read before minutes are spent on one.
+    for source, error in zip(todo, map_in_order(_damage, todo, crew, None, _lost), strict=True):
+        found[source] = error
+    if parent_process() is None:  # Workers load the set again.
+        _warn_of_missing(found)
+    todo = [source for source in todo if found[source] is None]
+    outcomes = map_in_order(_outcome, todo, crew, None, _lost)
+    for done, (source, outcome) in enumerate(zip(todo, outcomes, strict=True), start=1):
+        if outcome:
+            what = "keeps one hull" if isinstance(outcome, str) else "is left out"
+            warnings.warn(f"{source.name} {what}: {outcome}", stacklevel=3)
+        found[source] = outcome if isinstance(outcome, MechSearchError) else _kept(source)
         progress(f"preparing, {source.name}", done, len(todo))
-    if failures:
-        raise MechSearchError("; ".join(sorted(failures)))
-    _warn_of_coarse([found[source] for source in todo])
     lost = [source.name for source, done in found.items() if done is None]
     if lost:
         raise MechSearchError(f"cannot keep {', '.join(lost)} in the cache at {cache_folder()}")
+    _warn_of_coarse([found[source] for source in todo])
     return [prepared for prepared in found.values() if prepared is not None]
 
 
-def _warn_of_coarse(fresh: Sequence[Prepared | None]) -> None:
+def _kept(source: Source) -> Prepared | MechSearchError | None:
+    """Return the prepared object if the cache has it, or why its files cannot be read."""
+    try:
+        return cached(cache_path(source))
+    except MechSearchError as error:
+        return error
+
+
+def _damage(source: Source) -> MechSearchError | None:
+    """Return why a mesh cannot be read, or None."""
+    try:
+        read_pieces(source.mesh)
+    except MechSearchError as error:
+        return error
+    return None
+
+
+def _warn_of_missing(found: Mapping[Source, Prepared | MechSearchError | None]) -> None:
+    for source, done in found.items():
+        if isinstance(done, MechSearchError):
+            warnings.warn(f"{source.name} is left out: {done}", stacklevel=4)
+            continue
+        for name in missing_files(source.mesh):
+            warnings.warn(
+                f"{source.name} is without {name!r}, which {source.mesh} names: there is no such "
+                "file beside it",
+                stacklevel=4,
+            )
+
+
+def _warn_of_coarse(fresh: Sequence[Prepared | MechSearchError | None]) -> None:
     coarse = [
         f"{done.model.name} {1000 * done.model.hull_error:.0f} mm"
         for done in fresh
-        if done and not done.excluded and done.model.flagged
+        if isinstance(done, Prepared) and not done.excluded and done.model.flagged
     ]
     if coarse:
         named = f"more than {1000 * FLAGGED_ERROR:.0f} mm from the mesh: {', '.join(coarse)}"
@@ -90,7 +134,7 @@ def cache_key(source: Source) -> str:
     the settings of preparation.
 
     Raises:
-        MechSearchError: If the mesh file is missing.
+        MechSearchError: If the mesh file is missing, or a file cannot be read.
     """
     if not source.mesh.is_file():
         raise MechSearchError(f"no mesh at {source.mesh}")
@@ -102,15 +146,20 @@ def cache_key(source: Source) -> str:
     )
     record = [source.name, source.category, source.mass, source.mesh.suffix.lower(), settings]
     sha = hashlib.sha256(json.dumps(record).encode())
-    for file in source_files(source.mesh):
-        with file.open("rb") as stream:
-            sha.update(hashlib.file_digest(stream, "sha256").digest())
+    try:
+        for file in source_files(source.mesh):
+            with file.open("rb") as stream:
+                sha.update(hashlib.file_digest(stream, "sha256").digest())
+    except OSError as error:
+        raise MechSearchError(f"cannot read {error.filename}: {error.strerror}") from None
     return sha.hexdigest()
 
 
 def cache_path(source: Source) -> Path:
     """Return where the prepared object is kept."""
-    return cache_folder() / "objects" / f"{source.name}-{cache_key(source)[:32]}.npz"
+    # A name may be as long as a file's alone.
+    name = f"{source.name[:40]}-{cache_key(source)[:32]}-{READING}.npz"
+    return cache_folder() / "objects" / name
 
 
 def cached(path: Path) -> Prepared | None:

@@ -3,7 +3,6 @@
 Not every object can lie in a heap: of those that cannot, the reason is told.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +14,10 @@ from numpy.typing import NDArray
 
 from mechsearch.objects.meshes.convex import ConvexParts, parts_of, single_hull
 from mechsearch.objects.meshes.hull import MassProperties, as_mesh, mass_properties
+from mechsearch.objects.meshes.reading import read_pieces
 from mechsearch.objects.meshes.texels import bake_texels
 from mechsearch.objects.model import FRICTION, TEXEL_ROWS, ObjectModel
 from mechsearch.types import Floats, MechSearchError
-
-SUFFIXES = (".obj", ".stl", ".glb")
 
 VERSION = 2
 """Raised with every change of the results of preparation, so that old cache files are not used."""
@@ -125,50 +123,6 @@ def prepare(source: Source) -> Prepared:
         convex.error,
     )
     return Prepared(model, excluded, convex.remark)
-
-
-def source_files(path: Path) -> list[Path]:
-    """Return the mesh file and, for OBJ, the material and texture files it names that exist."""
-    files = [path]
-    if path.suffix.lower() == ".obj":
-        for name in _named(path, rb"^mtllib[ \t]+(.+?)\s*$"):
-            material = path.parent / name
-            if material.is_file():
-                files.append(material)
-                textures = _named(material, rb"^\s*map_\w+[ \t]+(?:.*[ \t])?(\S+)\s*$")
-                files += [path.parent / texture for texture in textures]
-    return [file for file in dict.fromkeys(files) if file.is_file()]
-
-
-def _named(path: Path, pattern: bytes) -> list[str]:
-    return [
-        match.decode("utf-8", "replace")
-        for match in re.findall(pattern, path.read_bytes(), re.MULTILINE)
-    ]
-
-
-def read_pieces(path: Path) -> list[trimesh.Trimesh]:
-    """Return the meshes of a file in one frame [m], with their colours.
-
-    Raises:
-        MechSearchError: If the file is missing, not a mesh, empty or has numbers that are not
-            finite.
-    """
-    if not path.is_file():
-        raise MechSearchError(f"no mesh at {path}")
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh)]
-    except Exception as error:  # noqa: BLE001  (parsers of foreign formats raise anything)
-        raise MechSearchError(
-            f"cannot read the mesh {path}: {type(error).__name__}: {error}"
-        ) from None
-    pieces = [piece for piece in pieces if len(piece.faces)]
-    if not pieces:
-        raise MechSearchError(f"the mesh {path} is empty; expected triangles")
-    if not all(np.isfinite(piece.vertices).all() for piece in pieces):
-        raise MechSearchError(f"the mesh {path} has vertices that are not finite")
-    return pieces
 
 
 def merge_pieces(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:

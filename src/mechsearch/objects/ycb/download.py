@@ -53,7 +53,7 @@ class Pulled:
 
 
 def pull_ycb(
-    destination: Path,
+    destination: str | Path,
     base_url: str = OFFICIAL,
     names: Sequence[str] | None = None,
     progress: Progress = silent,
@@ -72,7 +72,7 @@ def pull_ycb(
         MechSearchError: If the site cannot be reached or serves damaged files (says how to go on
             by hand), a name is not one of the site's, or the folder cannot be written.
     """
-    site = base_url.rstrip("/")
+    destination, site = Path(destination), base_url.rstrip("/")
     if not site.startswith(("https://", "http://")):
         raise MechSearchError(f"the site {base_url!r} is no web address; expected https://...")
     done: dict[str, list[str]] = {"fetched": [], "present": [], "without_scan": []}
