@@ -5,6 +5,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 
 from mechsearch.env.heap_env import make_env
 from mechsearch.heaps.dataset import (
@@ -13,6 +14,7 @@ from mechsearch.heaps.dataset import (
     heap_from_json,
     heap_to_json,
     load_heaps,
+    open_heaps,
     save_heaps,
 )
 from mechsearch.heaps.generate import GenerateConfig, attempt, generate, verify
@@ -168,16 +170,42 @@ def test_every_kind_of_damage_is_found(small, tmp_path):
     pq.write_table(pa.Table.from_pydict(columns, schema=table.schema), broken)
     with pytest.raises(MechSearchError, match="damaged"):
         load_heaps(broken)
-    with pytest.raises(MechSearchError, match="no heap set"):
-        load_heaps(tmp_path / "absent.parquet")
+    for name in ("absent.parquet", 300 * "n"):
+        with pytest.raises(MechSearchError, match="no heap set"):
+            load_heaps(tmp_path / name)
     save_heaps(broken, heaps.heaps, {**heaps.manifest, "format": 99})
     with pytest.raises(MechSearchError, match="format 99"):
         load_heaps(broken)
 
 
 def test_heaps_of_other_objects_are_refused(small, boxes):
-    with pytest.raises(MechSearchError, match=r"'household'.*'boxes'"):
+    with pytest.raises(MechSearchError, match=r"'household' objects.* by --objects.*'boxes'"):
         check_objects(small[1], boxes)
+
+
+def test_heaps_of_a_folder_say_whose_they_are_and_how_to_name_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path / "cache"))
+    for name in ("a", "b", "c", "d"):
+        trimesh.creation.box((0.06, 0.08, 0.1)).export(tmp_path / f"{name}.obj")
+    rows = "".join(f"{name},0.3\n" for name in "abcd")
+    (tmp_path / "masses.csv").write_text("object,mass_kg\n" + rows)
+    path, folder = tmp_path / "heaps.parquet", str(tmp_path)
+    generate(GenerateConfig(heaps=2, counts=(4,), objects=tmp_path), str(path))
+    assert folder.encode() not in path.read_bytes()
+    assert list(open_heaps(str(path), folder)[1].models) == ["a", "b", "c", "d"]
+    whose = rf"made with '{tmp_path.name}' objects; name them, or the folder .* by --objects"
+    with pytest.raises(MechSearchError, match=whose + ": no object set"):
+        open_heaps(path)
+    with pytest.raises(MechSearchError, match=whose + ": 4 of the 4 recorded objects are missing"):
+        list(verify(load_heaps(path), "household"))
+
+
+@pytest.mark.parametrize("name", ["household-dual", "household_dual", "run/household-dual"])
+def test_the_embedded_heaps_have_names(name, small, tmp_path, monkeypatch):
+    assert load_heaps(name).hash == embedded_heaps("dual").hash
+    monkeypatch.chdir(tmp_path)
+    save_heaps("household-dual", small[1].heaps, small[1].manifest)
+    assert load_heaps("household-dual").hash == small[1].hash
 
 
 @pytest.mark.parametrize(

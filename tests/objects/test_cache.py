@@ -133,14 +133,39 @@ def test_the_key_depends_on_content_and_settings_but_not_on_place(block, tmp_pat
     assert cache_key(block) != key
 
 
-def test_the_key_depends_on_the_texture(tmp_path):
-    (tmp_path / "a.obj").write_text("mtllib a.mtl\n")
-    (tmp_path / "a.mtl").write_text("map_Kd a.png\n")
+@pytest.mark.parametrize(
+    "line", ["map_Kd my skin.png", "map_Kd -s 1 1 my skin.png", r"map_Kd C:\scans\my skin.png"]
+)
+def test_the_key_depends_on_the_texture(tmp_path, line):
+    (tmp_path / "a.obj").write_text("mtllib my a.mtl\n")
+    (tmp_path / "my a.mtl").write_text(line)
     keys = set()
     for content in (b"one", b"two"):
-        (tmp_path / "a.png").write_bytes(content)
+        (tmp_path / "my skin.png").write_bytes(content)
         keys.add(cache_key(Source("a", "", tmp_path / "a.obj", 1.0)))
     assert len(keys) == 2
+
+
+def test_what_was_read_otherwise_is_not_taken_and_has_the_same_identity(
+    bracket, tmp_path, monkeypatch
+):
+    bracket.export(tmp_path / "bracket.stl")
+    source = Source("bracket", "", tmp_path / "bracket.stl", 0.2)
+    calls = []
+    monkeypatch.setattr(convex, "convex_parts", lambda *args: calls.append(1) or whole(*args))
+    hashes = set()
+    for reading in (1, 2, 2):
+        monkeypatch.setattr(cache, "READING", reading)
+        monkeypatch.setattr(convex, "READING", reading)
+        (done,) = cache.prepare_all([source], 1)
+        hashes.add(done.model.content_hash)
+    assert len(calls) == 2
+    assert hashes == {cache_key(source)}
+
+
+def whole(mesh, simple):
+    del simple
+    return convex.single_hull(mesh)
 
 
 def test_the_sources_identify_a_prepared_object(block, tmp_path):

@@ -303,8 +303,9 @@ def test_the_published_table_has_the_masses_of_the_paper():
 
 
 def test_an_unknown_set_is_refused_with_the_choices():
-    with pytest.raises(MechSearchError, match="'kitchen'; choose household, ycb, or a folder"):
-        load_object_set("kitchen")
+    for name in ("kitchen", 100 * "kitchen"):
+        with pytest.raises(MechSearchError, match=f"'{name}'; choose household, ycb, or a folder"):
+            load_object_set(name)
 
 
 def test_ycb_without_a_download_names_both_ways():
@@ -319,6 +320,12 @@ def test_downloaded_ycb_objects_without_a_published_mass_are_left_out(tmp_path, 
     found = load_object_set("ycb", workers=1)
     assert (found.name, list(found.models)) == ("ycb", ["036_wood_block"])
     assert found.excluded == {"999_novelty": "no published mass"}
+
+
+def test_places_may_be_given_as_text(folder):
+    assert list(find_meshes(str(folder))) == ["brick", "cube", "plank"]
+    assert read_masses(str(folder / "masses.csv"))["brick"].mass == 0.3
+    assert list(load_folder(str(folder), workers=1).models) == ["brick", "cube"]
 
 
 def test_a_folder_is_a_set_by_its_path(folder):

@@ -89,6 +89,18 @@ def test_what_a_general_reader_reads_right_has_the_same_corners_in_the_same_orde
     np.testing.assert_array_equal(ours.faces, theirs.faces)
 
 
+@pytest.mark.parametrize("forms", [("t\u00e2che", "ta\u0302che"), ("ta\u0302che", "t\u00e2che")])
+def test_a_texture_is_found_in_either_form_of_accents(tmp_path, forms):
+    named, there = forms
+    text = (CORPUS / "name-with-spaces.obj").read_text().replace("name with spaces", named)
+    (tmp_path / "a.obj").write_text(text, encoding="utf-8")
+    (tmp_path / f"{there}.mtl").write_text(f"newmtl skin\nmap_Kd {named}.png\n", encoding="utf-8")
+    (tmp_path / f"{there}.png").write_bytes((CORPUS / "red skin.png").read_bytes())
+    assert missing_files(tmp_path / "a.obj") == []
+    (piece,) = read_pieces(tmp_path / "a.obj")
+    assert piece.visual.material.image.getpixel((0, 0)) == (200, 30, 40)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_ears_fill_a_star_of_any_corners(seed):
     """Seen from the origin the corners go round once, so the area is a sum of thin triangles."""

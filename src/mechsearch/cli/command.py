@@ -14,7 +14,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.rollout import load_some
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.heaps.dataset import object_set
+from mechsearch.heaps.dataset import recorded_objects
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import PROCESSORS, Mapper, map_in_order
 from mechsearch.processes import bars as bars
@@ -116,16 +116,8 @@ def models_of(evaluation: Evaluation, named: str) -> Mapping[str, ObjectModel]:
     Raises:
         MechSearchError: If the set that was named, or that the evaluation names, has others.
     """
-    objects = object_set(named or str(evaluation.header["object_set"]))
-    recorded = evaluation.header["object_hashes"]
-    wrong = objects.differing(recorded)
-    if wrong:
-        raise MechSearchError(
-            f"{len(wrong)} of the {len(recorded)} recorded objects are missing from or differ in "
-            f"{objects.name!r}: {', '.join(wrong[:5])}; name the set they were recorded with, by "
-            "--objects"
-        )
-    return objects.models
+    name, hashes = str(evaluation.header["object_set"]), evaluation.header["object_hashes"]
+    return recorded_objects("these episodes were recorded", name, hashes, named).models
 
 
 def say(text: str) -> None:

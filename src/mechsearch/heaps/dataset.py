@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -207,9 +208,10 @@ def load_heaps(path: str | Path) -> HeapSet:
         MechSearchError: If the file is missing, damaged, or no heap set of a known format.
     """
     path = Path(path)
-    if not path.exists() and path.name.replace("_", "-") in EMBEDDED:
+    # Of names too long for the system, Path's own questions raise.
+    if not os.path.exists(path) and path.name.replace("_", "-") in EMBEDDED:
         path = EMBEDDED[path.name.replace("_", "-")]
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise MechSearchError(
             f"no heap set at {path}; make one with `mechsearch heaps generate`, or name one that "
             f"the package holds: {', '.join(EMBEDDED)}"
@@ -274,24 +276,9 @@ def object_set(spec: str) -> ObjectSet:
     return load_object_set(spec)
 
 
-def objects_of(heap_set: HeapSet, objects: str = "") -> ObjectSet:
-    """Return the objects of a heap set, once it is certain that they are.
-
-    Args:
-        heap_set: The heaps.
-        objects: Object set; empty takes the one that the heaps were made with.
-
-    Raises:
-        MechSearchError: If it cannot be loaded, or is another.
-    """
-    try:
-        found = object_set(objects or heap_set.objects)
-    except MechSearchError as error:
-        if objects:
-            raise
-        raise MechSearchError(f"{_whose(heap_set)}: {error}") from None
-    check_objects(heap_set, found)
-    return found
+def objects_of(heap_set: HeapSet, given: str = "") -> ObjectSet:
+    """Return the objects of a heap set; see `recorded_objects`."""
+    return recorded_objects(_MADE, heap_set.objects, _used(heap_set), given)
 
 
 def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
@@ -300,18 +287,46 @@ def check_objects(heap_set: HeapSet, objects: ObjectSet) -> None:
     Raises:
         MechSearchError: Naming the first objects that are missing or differ.
     """
+    _check_hashes(_MADE, heap_set.objects, _used(heap_set), objects)
+
+
+def recorded_objects(what: str, name: str, hashes: Mapping[str, str], given: str = "") -> ObjectSet:
+    """Return the objects that a file was made with, once it is certain that they are.
+
+    Args:
+        what: Is about the objects, such as "this heap set was made".
+        name: Of the object set, as the file has it.
+        hashes: Of the objects that it uses, by name.
+        given: Object set, as for `load_object_set`; empty takes the one of that name.
+
+    Raises:
+        MechSearchError: If it cannot be loaded, or is another.
+    """
+    try:
+        found = object_set(given or name)
+    except MechSearchError as error:
+        raise error if given else MechSearchError(f"{_asking(what, name)}: {error}") from None
+    _check_hashes(what, name, hashes, found)
+    return found
+
+
+_MADE = "this heap set was made"
+
+
+def _used(heap_set: HeapSet) -> dict[str, str]:
     used = {name for heap in heap_set.heaps for name in heap.objects}
-    wrong = objects.differing({name: heap_set.manifest["object_hashes"][name] for name in used})
+    return {name: heap_set.manifest["object_hashes"][name] for name in used}
+
+
+def _asking(what: str, name: str) -> str:
+    return f"{what} with {name!r} objects; name them, or the folder where they are, by --objects"
+
+
+def _check_hashes(what: str, name: str, hashes: Mapping[str, str], found: ObjectSet) -> None:
+    wrong = found.differing(hashes)
     if wrong:
         raise MechSearchError(
-            f"{_whose(heap_set)}: {len(wrong)} of the {len(used)} that it uses are missing from or "
-            f"differ in {objects.name!r}: {', '.join(wrong[:5])}{' ...' if len(wrong) > 5 else ''}"
+            f"{_asking(what, name)}: {len(wrong)} of the {len(hashes)} recorded objects are "
+            f"missing from or differ in {found.name!r}: {', '.join(wrong[:5])}"
+            f"{' ...' if len(wrong) > 5 else ''}"
         )
-
-
-def _whose(heap_set: HeapSet) -> str:
-    """Return whose heaps they are, and how to give these objects."""
-    return (
-        f"this heap set was made with {heap_set.objects!r} objects; name them, or the folder where "
-        "they are, by --objects"
-    )

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 import unicodedata
 import warnings
 from collections.abc import Mapping
@@ -48,7 +49,7 @@ def load_object_set(spec: str | Path, workers: int | None = None) -> ObjectSet:
             )
         return load_folder(folder, name="ycb", workers=workers, need_masses=False)
     folder = Path(spec).expanduser()
-    if not folder.exists():
+    if not os.path.exists(folder):  # Of names too long for the system, Path's own question raises.
         raise MechSearchError(
             f"no object set {str(spec)!r}; choose household, ycb, or a folder of meshes with masses"
         )

@@ -28,6 +28,7 @@ from mechsearch.objects.meshes.hull import (
     reduced_hull,
     shell_distances,
 )
+from mechsearch.objects.meshes.reading import READING
 from mechsearch.types import Floats, MechSearchError
 
 SINGLE_HULL_ERROR = 0.005
@@ -156,7 +157,7 @@ def parts_of(file: Path, mesh: trimesh.Trimesh, simple: trimesh.Trimesh) -> Conv
         MechSearchError: If the mesh is flat.
     """
     key = parts_key(file)
-    kept = cache_folder() / "parts" / f"{key}.npz"
+    kept = cache_folder() / "parts" / f"{key}-{READING}.npz"
     found = known_parts().get(key)
     if found is None and kept.exists():
         try:
