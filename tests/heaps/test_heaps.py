@@ -183,20 +183,38 @@ def test_heaps_of_other_objects_are_refused(small, boxes):
         check_objects(small[1], boxes)
 
 
-def test_heaps_of_a_folder_say_whose_they_are_and_how_to_name_it(tmp_path, monkeypatch):
-    monkeypatch.setenv("MECHSEARCH_CACHE", str(tmp_path / "cache"))
-    for name in ("a", "b", "c", "d"):
-        trimesh.creation.box((0.06, 0.08, 0.1)).export(tmp_path / f"{name}.obj")
-    rows = "".join(f"{name},0.3\n" for name in "abcd")
-    (tmp_path / "masses.csv").write_text("object,mass_kg\n" + rows)
-    path, folder = tmp_path / "heaps.parquet", str(tmp_path)
-    generate(GenerateConfig(heaps=2, counts=(4,), objects=tmp_path), str(path))
-    assert folder.encode() not in path.read_bytes()
-    assert list(open_heaps(str(path), folder)[1].models) == ["a", "b", "c", "d"]
-    whose = rf"made with '{tmp_path.name}' objects; name them, or the folder .* by --objects"
+@pytest.fixture(scope="module")
+def of_folder(tmp_path_factory):
+    """A folder of three bricks and two damaged meshes, and its heaps, dropped by two workers."""
+    folder = tmp_path_factory.mktemp("bricks")
+    for name in "abc":
+        trimesh.creation.box((0.06, 0.08, 0.1)).export(folder / f"{name}.obj")
+    for name in "de":
+        (folder / f"{name}.stl").write_bytes(bytes(90))
+    rows = "".join(f"{name},0.3\n" for name in "abcde")
+    (folder / "masses.csv").write_text("object,mass_kg\n" + rows)
+    config = GenerateConfig(heaps=2, counts=(3,), objects=folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MECHSEARCH_CACHE", str(folder / "cache"))
+        with pytest.warns(UserWarning, match="e is left out"):
+            generate(config, str(folder / "heaps.parquet"), workers=2)
+        yield folder
+
+
+def test_heaps_are_of_what_is_not_damaged_for_workers_too(of_folder):
+    path = of_folder / "heaps.parquet"
+    heaps, objects = open_heaps(str(path), str(of_folder))
+    assert {name for heap in heaps.heaps for name in heap.objects} == set("abc")
+    assert list(objects.excluded) == ["d", "e"]
+
+
+def test_heaps_of_a_folder_say_whose_they_are_and_how_to_name_it(of_folder):
+    path = of_folder / "heaps.parquet"
+    assert str(of_folder).encode() not in path.read_bytes()
+    whose = rf"made with '{of_folder.name}' objects; name them, or the folder .* by --objects"
     with pytest.raises(MechSearchError, match=whose + ": no object set"):
         open_heaps(path)
-    with pytest.raises(MechSearchError, match=whose + ": 4 of the 4 recorded objects are missing"):
+    with pytest.raises(MechSearchError, match=whose + ": 3 of the 3 recorded objects are missing"):
         list(verify(load_heaps(path), "household"))
 
 

@@ -50,11 +50,13 @@ def prepare_all(
     """
     found = {source: _kept(source) for source in sources}
     todo = [source for source, done in found.items() if done is None]
-    crew = min(workers or PROCESSORS, len(todo))
+    # A worker, which loads a set again, has no workers of its own, and nobody to tell.
+    first = parent_process() is None
+    crew = min(workers or PROCESSORS, len(todo)) if first else 1
     # All are read before minutes are spent on one.
     for source, error in zip(todo, map_in_order(_damage, todo, crew, None, _lost), strict=True):
         found[source] = error
-    if parent_process() is None:  # Workers load the set again.
+    if first:
         _warn_of_missing(found)
     todo = [source for source in todo if found[source] is None]
     outcomes = map_in_order(_outcome, todo, crew, None, _lost)
