@@ -148,7 +148,7 @@ class SuctionCup:
     F and a load's pull P, what is left, F - P, presses the lip on. A bending moment of
     (F - P) radius moves that pressure to the lip's edge and opens the other side; friction holds
     shear and twist. Vacuum is for gentle motion (makers ask for a safety factor of two), so it is
-    shaken at half the frequency of jaws.
+    lifted in twice the time of jaws, and shaken at half their frequency.
 
     Attributes:
         radius: Of the lip [m].

@@ -441,7 +441,8 @@ class _CupRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, cup)
         self.gripper = cup
-        self.config = replace(self.config, frequency=self.config.frequency / 2)
+        slow = {"frequency": self.config.frequency / 2, "lifting": 2 * self.config.lifting}
+        self.config = replace(self.config, **slow)
         model = self._model
         self._lip = model.body(f"lip{index}").id
         self._lip_geom = model.geom(f"lip{index}").id

@@ -146,8 +146,7 @@ class SuctionTest:
         if sealed is None:
             return Outcome.NO_SEAL
         self._sealed = sealed
-        self._draw()
-        bears = self._lift()
+        bears = self._lift(self._draw())
         if rig.unsound():
             return Outcome.FAILURE
         if not bears:
@@ -182,16 +181,25 @@ class SuctionTest:
                 return touched
         return rig.touched()
 
-    def _draw(self) -> None:
-        """Stand while the vacuum is drawn: a jerk of landing must not break the seal."""
+    def _draw(self) -> float:
+        """Stand while the vacuum is drawn: a jerk of landing must not break the seal.
+
+        Returns:
+            Height that the cup is held to while it presses [m], somewhat below where it is.
+        """
         height = self._rig.height
         for _ in range(self._config.steps(_DRAWING)):
             self._step("seal", height)
+        return height
 
-    def _lift(self) -> bool:
-        """Lift; return False as soon as the seal breaks."""
+    def _lift(self, low: float) -> bool:
+        """Lift from where the cup is held to, so that the load comes on gently.
+
+        Returns:
+            False as soon as the seal breaks.
+        """
         config = self._config
-        steps, low = config.steps(config.lifting), self._rig.height
+        steps = config.steps(config.lifting)
         for step in range(steps):
             share = (1 - np.cos(np.pi * (step + 1) / steps)) / 2
             self._step("lift", low + (config.height - low) * share)
