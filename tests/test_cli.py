@@ -2,7 +2,9 @@ import hashlib
 import importlib
 import importlib.util
 import json
+import os
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from mechsearch.cli import COMMANDS, LEARNING_COMMANDS, main
 from mechsearch.cli.evaluation import file_name, named
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import METRICS, Evaluation
-from mechsearch.files import read_record, write_record
+from mechsearch.files import alone, read_record, write_record
 from mechsearch.types import MechSearchError
 
 
@@ -80,8 +82,8 @@ def test_without_ray_its_options_say_what_to_install(
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     words = ["heaps", "generate", "--out", str(tmp_path / "heaps.parquet")]
-    assert "install mechsearch[ray]" in failure([*words, "--ray"], capsys)
-    assert "install mechsearch[ray]" in failure([*words, "--ray-address", "auto"], capsys)
+    assert "pip install '.[ray]'" in failure([*words, "--ray"], capsys)
+    assert "pip install '.[ray]'" in failure([*words, "--ray-address", "auto"], capsys)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -106,6 +108,17 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         (["evaluate", "--heaps", "absent.parquet"], "0 policies given"),
         (["show", "absent.npz"], "no evaluation at absent.npz"),
         (["show", "absent.npz", "--out", "a.bmp"], "unknown format '.bmp'; choose one of .png"),
+        (["show", "absent.npz", "--size", "100000"], "100000 px; expected 16 to 2048"),
+        (["show", "absent.npz", "--out", "a.gif", "--rate", "nan"], "nan moments a second"),
+        (["objects", "sheet", "--out", "sheet"], "sheet names no format; choose one of .png"),
+        (["objects", "sheet", "--columns", "0"], "0 columns; expected at least 1"),
+        (["heaps", "show", "absent.parquet", "--out", "a.tga"], "choose one of .png, .jpg"),
+        (["report", "absent", "--out", "page"], "page names no format; choose one of .html"),
+        (["report", "absent.csv", "--out", "a.png"], "unknown format '.png'; choose one of .svg"),
+        (["heaps", "generate", "--out", "h.parquet", "--counts", "0"], "expected each at least 2"),
+        (["heaps", "generate", "--out", "h.parquet", "--counts", "60", "--heaps", "2"], "need 60"),
+        (["heaps", "verify", "absent.parquet", "--workers", "0"], "0 workers; expected at least 1"),
+        (["evaluate", "json:dumps"], "policy 'json:dumps', called with no arguments, raised Type"),
         (["report", "absent"], "there is nothing at absent"),
         (["report", "absent.csv"], "no summary at absent.csv"),
         (["heaps", "generate", "--out", "h.parquet", "--condition", "triple"], "'triple'"),
@@ -136,7 +149,7 @@ def test_learning_without_pytorch_says_what_to_install(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "install mechsearch[learn]" in failure([name, "--help"], capsys)
+    assert "pip install '.[learn]'" in failure([name, "--help"], capsys)
 
 
 def test_an_interruption_says_that_files_are_whole(
@@ -145,11 +158,65 @@ def test_an_interruption_says_that_files_are_whole(
     def interrupted(words: list[str]) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mechsearch.cli._dispatch", interrupted)
+    monkeypatch.setattr("mechsearch.objects.catalog.load_object_set", interrupted)
+    monkeypatch.setattr("mechsearch.cli.objects.load_object_set", interrupted)
     with pytest.raises(SystemExit) as stopped:
-        main([])
+        main(["objects", "list"])
     assert stopped.value.code == 130
     assert "whole" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "left"),
+    [
+        (["heaps", "generate", "--out", "h p"], "go on by `mechsearch heaps generate --out 'h p'`"),
+        (["train", "debug", "--heaps", "h", "--out", "r"], "nothing was learnt yet; give the same command again"),
+        (["train", "--resume", "begun"], "40 actions, what came after is lost; go on by "
+         "`mechsearch train --resume begun`"),
+        (["grasp", "label", "--heaps", "h", "--out", "g"], "go on by `mechsearch grasp label"),
+        (["grasp", "train", "--labels", "g", "--out", "n"], "go on by `mechsearch grasp train"),
+        (["sweep", "--out", "s"], "go on by `mechsearch sweep --out s`"),
+        (["evaluate", "idle", "random"], "go on by the same command with these policies alone: idle"
+         " random"),
+    ],
+)  # fmt: skip
+def test_an_interruption_says_how_to_go_on(
+    words: list[str], left: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    pytest.importorskip("torch")
+
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    begun = tmp_path / "begun"
+    config = importlib.import_module("mechsearch.training.config")
+    config.save_config(config.run_config("debug"), begun / "config.json")
+    record = {"heaps": "h", "heap_set": "", "objects": ""}
+    write_record(begun / "inputs.json", "record of a run's inputs", record)
+    (begun / "checkpoints").mkdir()
+    for step in (20, 40):
+        (begun / "checkpoints" / f"step-{step:08d}.safetensors").touch()
+    for work in (
+        "heaps.generate", "training.train", "grasp_learning.load_heaps", "sweeping.carry_out",
+        "grasp_learning.load_grasps", "evaluation.evaluate_plan",
+    ):  # fmt: skip
+        module, _, name = work.partition(".")
+        monkeypatch.setattr(importlib.import_module(f"mechsearch.cli.{module}"), name, interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    said = capsys.readouterr().err
+    assert stopped.value.code == 130
+    assert said.count("\n") == 1
+    assert left in said
+
+
+def test_what_a_terminal_cannot_show_and_a_notebook_has_set_is_no_reason_to_stop() -> None:
+    words = [sys.executable, "-m", "mechsearch", "report", "größe"]
+    env = {**os.environ, "PYTHONIOENCODING": "ascii", "MPLBACKEND": "module://notebook"}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
+    assert done.stderr == "mechsearch: there is nothing at gr\\xf6\\xdfe\n"
 
 
 def test_a_message_of_several_lines_becomes_one(
@@ -198,6 +265,53 @@ def test_scores_are_recorded_and_entered_into_the_summary(scores: Path) -> None:
     assert {(row.condition, row.actions, row.seed) for row in rows} == {("single", 0, 0)}
 
 
+def test_an_evaluation_of_something_else_is_not_written_over(
+    heaps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, file = tmp_path / "scores", tmp_path / "scores" / "idle.npz"
+    words = ["evaluate", "idle", "--heaps", str(heaps), "--out", str(out), "--workers", "1"]
+    words += ["--max-actions", "2"]
+    main([*words, "--limit", "1"])
+    before = file.read_bytes()
+    for others, said in (
+        ([], "of another heaps; give it a --name of its own"),
+        (["--limit", "1", "--seed", "1"], "of another seed;"),
+        (["--limit", "1", "--max-actions", "3"], "of another env;"),
+        (["--limit", "1", "--split", "train"], "of another split;"),
+    ):
+        assert said in failure([*words, *others], capsys)
+        assert file.read_bytes() == before
+    main([*words, "--limit", "1"])
+    assert file.read_bytes() == before
+    main([*words, "--name", "still"])
+    assert len(episodes.load_episodes(out / "still.npz").episodes) == 2
+    main([*words, "--overwrite"])
+    assert len(episodes.load_episodes(file).episodes) == 2
+
+
+def test_two_evaluations_at_once_do_not_share_a_folder(
+    heaps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with alone(tmp_path / "evaluations", "it"):
+        words = ["evaluate", "idle", "--heaps", str(heaps), "--out", str(tmp_path)]
+        assert "another process is at work in the evaluations in" in failure(words, capsys)
+
+
+def test_help_is_short_and_tells_where_the_rest_is(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    for words in (["train", "method"], ["train", "plus"], ["evaluate"], ["sweep"]):
+        said = []
+        for option in ("--help", "--help-all"):
+            with pytest.raises(SystemExit) as stopped:
+                main([*words, option])
+            assert stopped.value.code == 0
+            said.append(capsys.readouterr().out)
+        assert len(said[0].splitlines()) < 80
+        assert "--physics.time-step" not in said[0]
+        assert f"{' '.join(words)} --help-all" in said[0]
+        assert "--physics.time-step" in said[1]
+
+
 def test_an_episode_is_shown_as_picture_and_film(
     scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -205,8 +319,9 @@ def test_an_episode_is_shown_as_picture_and_film(
     main([*words, str(tmp_path / "a.png"), "--which", "best"])
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width == 2 * 64 + 6
-    main([*words, str(tmp_path / "a.gif"), "--camera", "tilted"])
-    with Image.open(tmp_path / "a.gif") as film:
+    main([*words, str(tmp_path / "A.GIF"), "--camera", "tilted"])
+    with Image.open(tmp_path / "A.GIF") as film:
+        assert film.format == "GIF"
         assert film.n_frames > 5
     message = failure([*words, str(tmp_path / "b.png"), "--which", "7"], capsys)
     assert "choose one of worst, median, best, or a heap's seed" in message

@@ -1,6 +1,7 @@
 """What users name as `package.module:name`: policies, teachers, rewards and algorithms."""
 
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -26,14 +27,41 @@ def load_entry_point(spec: str, purpose: str) -> Any:
     module_name, _, name = spec.partition(":")
     try:
         module = import_module(module_name)
-    except ModuleNotFoundError as error:
-        raise MechSearchError(f"{purpose} {spec!r} cannot be imported: {error}") from None
+    except Exception as error:
+        raise MechSearchError(
+            f"{purpose} {spec!r} cannot be imported: {type(error).__name__}: {error}"
+        ) from error
     found = getattr(module, name, None)
     if not callable(found):
         public = [key for key, value in vars(module).items() if callable(value)]
         names = ", ".join(key for key in sorted(public) if not key.startswith("_")) or "none"
         raise MechSearchError(f"{module_name} has no function or class {name!r}; it has {names}")
     return found
+
+
+def called(function: Callable[..., Any], purpose: str, spec: str, *arguments: Any) -> Any:
+    """Return what a user's function or class gives for arguments.
+
+    Args:
+        function: As `load_entry_point` returned it.
+        purpose: What it is for, as there.
+        spec: Its name in errors.
+        arguments: What it is handed.
+
+    Raises:
+        MechSearchError: If it raises anything, such as for the number of arguments; says where.
+    """
+    try:
+        return function(*arguments)
+    except MechSearchError:
+        raise
+    except Exception as error:
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
+        place = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+        raise MechSearchError(
+            f"{purpose} {spec!r}, called with {len(arguments) or 'no'} arguments, raised "
+            f"{type(error).__name__}: {error}{place}"
+        ) from error
 
 
 def conforming(found: Any, purpose: str, spec: str, members: Sequence[str]) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
+from mechsearch.entry_point import called, conforming, is_entry_point, load_entry_point
 from mechsearch.pushes.push import Shape, spiral, straight, zigzag
 from mechsearch.pushes.route import Route
 from mechsearch.types import TEACHER_KEYS, MechSearchError, Observation, Policy
@@ -114,7 +114,7 @@ def make_teacher(spec: str) -> Teacher:
         MechSearchError: If there is no such teacher, or it cannot be made.
     """
     check_teacher(spec)
-    made = (TEACHERS.get(spec) or load_entry_point(spec, "teacher"))()
+    made = called(TEACHERS.get(spec) or load_entry_point(spec, "teacher"), "teacher", spec)
     members = ("keys", "reset(rng)", "act(obs)", "state()", "restore(state)")
     teacher: Teacher = conforming(made, "teacher", spec, members)
     return teacher

@@ -1,5 +1,6 @@
 """Records, names and protocols that cross the borders between packages."""
 
+import importlib.util
 from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
@@ -68,6 +69,30 @@ class Outcome(StrEnum):
 
 class MechSearchError(Exception):
     """Bad input: the message names the value, what was expected and the valid choices."""
+
+
+EXTRAS = {
+    "learn": ("PyTorch", "torch"), "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
+}  # fmt: skip
+"""What each optional part of an installation is for: its name, and a module that it brings."""
+
+
+def check_extra(what: str, extra: str) -> None:
+    """Refuse what needs an optional part of the installation that is not there.
+
+    Args:
+        what: What needs it, for the error.
+        extra: In `EXTRAS`.
+
+    Raises:
+        MechSearchError: Saying how to install it.
+    """
+    name, module = EXTRAS[extra]
+    if importlib.util.find_spec(module) is None:
+        raise MechSearchError(
+            f"{what} needs {name}: install it by `pip install '.[{extra}]'` in the folder of "
+            "mechsearch's pyproject.toml"
+        )
 
 
 @runtime_checkable

@@ -96,7 +96,7 @@ def test_a_trained_policy_without_pytorch_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MechSearchError, match=r"install mechsearch\[learn\]"):
+    with pytest.raises(MechSearchError, match=r"pip install '\.\[learn\]'"):
         make_policy(str(tmp_path))
 
 

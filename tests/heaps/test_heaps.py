@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from mechsearch.env.heap_env import make_env
+from mechsearch.files import append_line
 from mechsearch.heaps.dataset import (
     check_objects,
     embedded_heaps,
@@ -17,7 +18,7 @@ from mechsearch.heaps.dataset import (
     open_heaps,
     save_heaps,
 )
-from mechsearch.heaps.generate import GenerateConfig, attempt, generate, verify
+from mechsearch.heaps.generate import Drop, GenerateConfig, attempt, generate, verify
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.processes import Failure
 from mechsearch.types import MechSearchError
@@ -100,6 +101,8 @@ def test_a_lost_attempt_stays_lost_when_a_set_is_continued(tmp_path):
 def test_objects_that_always_kill_their_workers_are_an_error_that_says_so(tmp_path):
     with pytest.raises(MechSearchError, match=r"0 of 200 .* 200 drops were lost: worker died"):
         generate(SMALL, tmp_path / "none.parquet", mapper=losing(range(10**6)))
+    # Nothing is left that would refuse another set of that name.
+    assert [file.suffix for file in tmp_path.iterdir()] == [".lock"]
 
 
 def test_a_set_that_was_cut_off_is_continued_and_comes_out_the_same(small, tmp_path):
@@ -123,11 +126,17 @@ def test_a_set_that_was_cut_off_is_continued_and_comes_out_the_same(small, tmp_p
     assert all(file.suffix == ".lock" for file in tmp_path.glob(".*"))
 
 
-def test_a_journal_of_another_set_is_not_continued(tmp_path):
-    path = tmp_path / "set.parquet"
+def test_heaps_of_another_set_that_was_cut_off_are_not_lost(small, tmp_path):
+    path = str(tmp_path / "set.parquet")
     (tmp_path / ".set.attempts.json").write_text(json.dumps({"config": "other"}))
+    row = Drop(5, 0, small[1].heaps[0]).row()
+    append_line(tmp_path / ".set.attempts.jsonl", row)
     with pytest.raises(MechSearchError, match="another heap set"):
         generate(SMALL, path)
+    # Without a heap there is nothing to lose.
+    (tmp_path / ".set.attempts.jsonl").unlink()
+    append_line(tmp_path / ".set.attempts.jsonl", row | {"heap": None})
+    assert generate(SMALL, path).hash == small[1].hash == load_heaps(path).hash
 
 
 def test_an_attempt_depends_on_its_number_alone():

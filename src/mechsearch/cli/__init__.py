@@ -5,15 +5,16 @@ help is quick, and only `train`, `grasp`, `demo` and trained policies need PyTor
 """
 
 import importlib
-import importlib.util
+import io
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from mechsearch.files import REFUSALS, not_written
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, check_extra
 
 COMMANDS = {
     "assets pull": ("objects:Pull", "download an object set from its official site"),
@@ -58,6 +59,12 @@ LEARNING_COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command; after bad input say in one line what was wrong, and exit with 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # What is drawn is drawn into files, whatever a notebook has set.
+    os.environ["MPLBACKEND"] = "agg"
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A name that the terminal cannot show is no reason to stop.
+            stream.reconfigure(errors="backslashreplace")
     try:
         _dispatch(words)
     except MechSearchError as error:
@@ -74,8 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         said = not_written(error, Path(str(error.filename or "a file")))
         print(f"mechsearch: {said}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("mechsearch: interrupted; files already written are whole", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"mechsearch: interrupted{f'; {stop}' if str(stop) else ''}", file=sys.stderr)
         raise SystemExit(130) from None
 
 
@@ -99,15 +106,21 @@ def _dispatch(words: list[str]) -> None:
 
 
 def _call(name: str, words: list[str]) -> None:
-    if name in LEARNING_COMMANDS and importlib.util.find_spec("torch") is None:
-        raise MechSearchError(f"`mechsearch {name}` needs PyTorch: install mechsearch[learn]")
+    if name in LEARNING_COMMANDS:
+        check_extra(f"`mechsearch {name}`", "learn")
     of_gripper = any(word.partition("=")[0] == "--gripper" for word in words)
     place = GRIPPER_COMMANDS.get(name) if of_gripper else None
     module, _, command = (place or COMMANDS[name][0]).partition(":")
     # Users' own policies are looked for where they stand, after everything that is installed.
     sys.path.append(str(Path.cwd()))
     kind = getattr(importlib.import_module(f"mechsearch.cli.{module}"), command)
-    kind.parse(f"mechsearch {name}", words).run()
+    options: Any = kind.parse(f"mechsearch {name}", words)
+    options.check_places()
+    try:
+        options.run()
+    except KeyboardInterrupt as stop:
+        left = str(stop) or options.interrupted([*name.split(), *words])
+        raise KeyboardInterrupt(left) from None
 
 
 def usage(commands: Mapping[str, tuple[str, str]]) -> str:

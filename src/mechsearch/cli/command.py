@@ -1,24 +1,27 @@
 """What every command is: options that parse themselves, and a run."""
 
 import importlib
-import importlib.util
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import tyro
 
 from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.rollout import load_some
-from mechsearch.files import write_whole
+from mechsearch.files import check_place, write_whole
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.heaps.dataset import recorded_objects
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import PROCESSORS, Mapper, map_in_order
 from mechsearch.processes import bars as bars
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, check_extra
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+"""Formats of pictures, by suffix."""
 
 FLAT = tyro.conf.arg(name="")
 """Marks a record whose values are options of the command itself."""
@@ -27,14 +30,79 @@ FLAT = tyro.conf.arg(name="")
 class Command:
     """Options of one command; subclasses are frozen dataclasses."""
 
+    writes: ClassVar[tuple[tuple[str, tuple[str, ...]], ...]] = ()
+    """The options that name files to write, and the formats of each by suffix; none means any."""
+
+    behind: ClassVar[tuple[type[Any], ...]] = ()
+    """Records among the options that `--help` leaves to `--help-all`."""
+
+    keeps: ClassVar[str] = ""
+    """What an interruption leaves, of commands that go on from there when given again."""
+
     @classmethod
     def parse(cls, program: str, words: Sequence[str]) -> Self:
         """Return the options that words on the command line give."""
-        return tyro.cli(cls, prog=program, args=list(words))
+        options: Self = parsed(cls, program, words, cls.behind)
+        return options
+
+    def check_places(self) -> None:
+        """Refuse files that could not be written in the end, before there is anything to write.
+
+        Raises:
+            MechSearchError: Naming the first.
+        """
+        for name, formats in self.writes:
+            if place := getattr(self, name):
+                check_place(place, formats)
 
     def run(self) -> None:
         """Do what the command is for."""
         raise NotImplementedError
+
+    def interrupted(self, words: Sequence[str]) -> str:
+        """Return what an interruption leaves, and how to go on.
+
+        Args:
+            words: Of the command line.
+        """
+        if not self.keeps:
+            return "files already written are whole, nothing else is kept"
+        return f"{self.keeps} kept; go on by `{shlex.join(['mechsearch', *words])}`"
+
+
+def parsed(
+    kind: type[Any],
+    program: str,
+    words: Sequence[str],
+    behind: Sequence[type[Any]] = (),
+    **options: Any,
+) -> Any:
+    """Return the options that words on the command line give.
+
+    Args:
+        kind: A record of options.
+        program: What is called, for the help.
+        words: Of the command line.
+        behind: Records of options in it that `--help` leaves to `--help-all`.
+        options: Of `tyro.cli`, such as `default`.
+    """
+    everything = "--help-all" in words
+    brief = bool(behind) and not everything and not {"-h", "--help"}.isdisjoint(words)
+    registry = tyro.constructors.ConstructorRegistry()
+
+    @registry.struct_rule
+    def nothing(info: tyro.constructors.StructTypeInfo) -> Any:
+        if not (brief and info.type in behind):
+            return None
+        return tyro.constructors.StructConstructorSpec(instantiate=info.type, fields=())
+
+    args = ["--help"] if everything else list(words)
+    try:
+        return tyro.cli(kind, prog=program, args=args, registry=registry, **options)
+    except SystemExit as end:
+        if brief and not end.code:
+            say(f"`{program} --help-all` also tells how every detail is changed.")
+        raise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +125,10 @@ class Parallel(Command):
     """
 
     workers: int = PROCESSORS
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise MechSearchError(f"{self.workers} workers; expected at least 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +153,7 @@ class Spread(Parallel):
         if not self.ray and not self.ray_address:
             yield self.workers, map_in_order
             return
-        if importlib.util.find_spec("ray") is None:
-            raise MechSearchError("--ray and --ray-address need Ray: install mechsearch[ray]")
+        check_extra("work spread by --ray or --ray-address", "ray")
         cluster = importlib.import_module("mechsearch.processes.ray_cluster")
         with cluster.connected(self.ray_address, self.workers) as processors:
             yield processors, cluster.ray_map

@@ -33,6 +33,8 @@ class Demo(Parallel):
         seed: Of everything.
     """
 
+    keeps = "what is finished, and checkpoints, are"
+
     out: Path = Path("demo")
     heaps: int = 180
     actions: int = 3000

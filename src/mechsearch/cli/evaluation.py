@@ -1,15 +1,24 @@
 """`mechsearch evaluate`, `mechsearch show` and `mechsearch verify`."""
 
 import importlib
-import importlib.util
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import OfEpisodes, OfObjects, Spread, bars, models_of, say, wrote
+from mechsearch.cli.command import (
+    PICTURES,
+    Mapper,
+    OfEpisodes,
+    OfObjects,
+    Spread,
+    bars,
+    models_of,
+    say,
+    wrote,
+)
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.env import RetrievalTask, TaskConfig
 from mechsearch.evaluation.episodes import (
@@ -26,22 +35,25 @@ from mechsearch.evaluation.rollout import (
     evaluate_plan,
     file_name,
     in_task,
+    other_inputs,
+    planned_header,
     replay_all,
 )
-from mechsearch.files import check_place, crossed, fingerprint, write_whole
+from mechsearch.files import alone, check_place, crossed, fingerprint, write_whole
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
 from mechsearch.findings.tables import EPISODES_NOTE, evaluation_tables, to_text
 from mechsearch.pictures.film import (
     FORMATS,
     FilmConfig,
+    check_film,
     film_of,
     filmstrip,
     start_and_end,
     write_film,
 )
 from mechsearch.pictures.replay import replayed
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, check_extra
 
 _TaskOptions: Any = optional(TaskConfig)
 
@@ -81,7 +93,12 @@ class Evaluate(OfObjects, Spread):
         grasps: Also measure graspability and retrieval of each target, before and after; needs
             PyTorch.
         grasp_network: Grasp network (.safetensors or .npz) to do it with, not the shipped one.
+        overwrite: Replace evaluations of the same name that were made of something else, too; those
+            of the same policy, heaps, task and seed are replaced anyway.
     """
+
+    writes = (("summary", ()),)
+    behind = (_TaskOptions,)
 
     policies: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")
@@ -102,6 +119,7 @@ class Evaluate(OfObjects, Spread):
     brief: bool = False
     grasps: bool = False
     grasp_network: Path | None = None
+    overwrite: bool = False
 
     def run(self) -> None:
         """Evaluate, print the scores, and write episodes and table."""
@@ -111,28 +129,71 @@ class Evaluate(OfObjects, Spread):
             )
         plans = [self._plan(policy) for policy in self.policies]
         check_place(self.out / "episodes.npz")
-        if self.summary:
-            check_place(self.summary)
         grasping = self._grasping()
-        evaluations = []
-        with self.spread() as (workers, mapper):
-            for plan in plans:
-                with bars() as progress:
-                    evaluation = evaluate_plan(plan, workers, progress, mapper)
-                if evaluation.header["task_differs"]:
-                    differing = ", ".join(evaluation.header["task_differs"])
-                    say(f"{plan.title}, in another task: {differing}")
-                file = self.out / f"{file_name(evaluation)}.npz"
-                save_episodes(file, evaluation)
-                if grasping:
-                    with bars() as progress:
-                        evaluation = grasping(evaluation, progress=progress)
-                    save_episodes(file, evaluation)
-                evaluations.append(evaluation)
-                if self.summary:
-                    merge_summary(self.summary, summary_rows(self.experiment, evaluation))
-        self._print(named(evaluations))
+        done: list[Evaluation] = []
+        place = alone(self.out / "evaluations", f"the evaluations in {self.out}")
+        with place, self.spread() as (workers, mapper):
+            self._check_files(plans)
+            try:
+                for plan in plans:
+                    done.append(self._evaluated(plan, workers, mapper, grasping))
+            except KeyboardInterrupt:
+                left = " ".join(self.policies[len(done) :])
+                raise KeyboardInterrupt(
+                    f"{len(done)} of {len(plans)} policies are scored, and their episodes kept in "
+                    f"{self.out}; go on by the same command with these policies alone: {left}"
+                ) from None
+        self._print(named(done))
         wrote(self.out)
+
+    def _check_files(self, plans: Iterable[EvaluationPlan]) -> None:
+        """Refuse to write over an evaluation that was made of something else.
+
+        Raises:
+            MechSearchError: Naming the file, in what they differ, and the choices.
+        """
+        planned: dict[Path, Mapping[str, Any]] = {}
+        for plan in plans:
+            header = planned_header(plan)
+            file = self._file(header)
+            others = [planned[file]] if file in planned else []
+            if file.exists() and not self.overwrite:
+                others.append(load_episodes(file).header)
+            for other in others:
+                # Grasps that are measured again are not lost.
+                again = {"grasp_network": other.get("grasp_network")} if self._grasps else {}
+                if differing := other_inputs(other, header | again):
+                    raise MechSearchError(
+                        f"{plan.title} would take the place of {file}, of another "
+                        f"{', '.join(differing)}; give it a --name of its own, choose another "
+                        "--out, or replace what is there by --overwrite"
+                    )
+            planned[file] = header
+
+    @property
+    def _grasps(self) -> bool:
+        return self.grasps or self.grasp_network is not None
+
+    def _file(self, header: Mapping[str, Any]) -> Path:
+        return self.out / f"{file_name(Evaluation(header, ()))}.npz"
+
+    def _evaluated(
+        self, plan: EvaluationPlan, workers: int, mapper: Mapper, grasping: Any
+    ) -> Evaluation:
+        """Return the evaluation of a plan, whose episodes and scores are written."""
+        with bars() as progress:
+            evaluation = evaluate_plan(plan, workers, progress, mapper)
+        if evaluation.header["task_differs"]:
+            say(f"{plan.title}, in another task: {', '.join(evaluation.header['task_differs'])}")
+        file = self._file(evaluation.header)
+        save_episodes(file, evaluation)
+        if grasping:
+            with bars() as progress:
+                evaluation = grasping(evaluation, progress=progress)
+            save_episodes(file, evaluation)
+        if self.summary:
+            merge_summary(self.summary, summary_rows(self.experiment, evaluation))
+        return evaluation
 
     def _plan(self, policy: str) -> EvaluationPlan:
         """Return the plan for a policy, if it can act in the task that is asked for."""
@@ -154,10 +215,9 @@ class Evaluate(OfObjects, Spread):
 
     def _grasping(self) -> Any:
         """Return what measures grasps, if asked for; a network that is no good is refused first."""
-        if not (self.grasps or self.grasp_network):
+        if not self._grasps:
             return None
-        if importlib.util.find_spec("torch") is None:
-            raise MechSearchError("--grasps needs PyTorch: install mechsearch[learn]")
+        check_extra("--grasps", "learn")
         assessor = importlib.import_module("mechsearch.retrieval.assessment").assessor
         return assessor(self.grasp_network, self.objects, self.workers)
 
@@ -182,7 +242,7 @@ class ShowEpisode(OfObjects):
 
     Attributes:
         episodes: File that `mechsearch evaluate` wrote (.npz).
-        out: .png for a picture, .gif or .mp4 for a film.
+        out: .png, .jpg or .webp for a picture, .gif or .mp4 for a film.
         which: "worst", "median" or "best" by reward, or a heap's seed.
         frames: Of a picture: 2 shows start and end, more make a filmstrip.
         camera: "overhead" or "tilted"; by default the first for pushes alone, and for retrieval
@@ -190,6 +250,8 @@ class ShowEpisode(OfObjects):
         size: Side of each frame [px].
         rate: Frames a second in a film, one for each push and eight for a second of a grasp.
     """
+
+    writes = (("out", (*PICTURES, *FORMATS)),)
 
     episodes: Annotated[Path, tyro.conf.Positional]
     out: Path = Path("episode.png")
@@ -201,14 +263,13 @@ class ShowEpisode(OfObjects):
 
     def run(self) -> None:
         """Draw and write the episode."""
-        if self.out.suffix not in (".png", *FORMATS):
-            raise MechSearchError(
-                f"unknown format {self.out.suffix!r}; choose one of .png, {', '.join(FORMATS)}"
-            )
+        config = FilmConfig(self.camera, self.size)
+        moving = self.out.suffix.lower() in FORMATS
+        if moving:
+            check_film(self.out, self.rate)
         evaluation = load_episodes(self.episodes)
         record = self._episode(evaluation)
         models = models_of(evaluation, self.objects)
-        config, moving = FilmConfig(self.camera, self.size), self.out.suffix in FORMATS
         film = film_of(evaluation.header, record, models, config, moving, replayed)
         if moving:
             write_film(self.out, film, self.rate)

@@ -59,6 +59,8 @@ class LabelGrasps(OfObjects, Parallel):
         config: What to label.
     """
 
+    keeps = "the files of labelled heaps so far are"
+
     heaps: Path
     out: Path
     config: Annotated[LabelConfig, FLAT] = field(default_factory=LabelConfig)
@@ -87,6 +89,8 @@ class TrainGrasps(Command):
         config: How to train.
     """
 
+    keeps = "the epochs so far are"
+
     labels: Path
     out: Path
     config: Annotated[GraspTrainConfig, FLAT] = field(default_factory=GraspTrainConfig)
@@ -108,6 +112,8 @@ class JudgingCommand(Command):
         out: File (.json) to write.
         plot: Reliability diagram (.svg) to write.
     """
+
+    writes = (("out", (".json",)), ("plot", (".svg",)))
 
     out: Path | None = None
     plot: Path | None = None
@@ -206,6 +212,8 @@ class LabelTrials(OfObjects, Parallel):
         config: What to try.
     """
 
+    keeps = LabelGrasps.keeps
+
     heaps: Path
     out: Path
     network: Path | None = None
@@ -235,6 +243,8 @@ class TrainQuality(Command):
         out: Folder for checkpoint and network; one that was cut off is continued.
         config: How to train.
     """
+
+    keeps = TrainGrasps.keeps
 
     gripper: str
     labels: tuple[Path, ...]

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.cli.command import (
+    PICTURES,
     OfObjects,
     Parallel,
     bars,
@@ -25,7 +26,7 @@ from mechsearch.evaluation.episodes import (
     merge_summary,
     share_interval,
 )
-from mechsearch.files import check_place, write_json
+from mechsearch.files import write_json
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.grasp_view import check_opening, view_of_heap
@@ -94,8 +95,10 @@ class ScoreGrasps(GraspTargets):
         intrinsics: Its camera [px]: .json or .yaml with fx, fy, cx, cy, or a matrix, such as a ROS
             CameraInfo; or a matrix in .npy or .txt.
         depth_scale: Metres for one unit of the depth image; 0.001 for millimetres.
-        out: Picture (.png) of the best grasps to write.
+        out: Picture (.png, .jpg or .webp) of the best grasps to write.
     """
+
+    writes = (("out", PICTURES),)
 
     heaps: Path | None = None
     depth: Path | None = None
@@ -165,10 +168,12 @@ class LiftGrasps(GraspTargets, Parallel):
 
     Attributes:
         heaps: Heap set (.parquet).
-        out: Picture (.png) to write: a strip of frames for each heap.
+        out: Picture (.png, .jpg or .webp) to write: a strip of frames for each heap.
         repeats: Perturbed executions of each grasp.
         seed: Of the perturbations.
     """
+
+    writes = (("out", PICTURES),)
 
     heaps: Path
     out: Path | None = None
@@ -263,10 +268,12 @@ class LiftChosen(GripperTargets):
         states: Some of dropped, pushed and alone.
         repeats: Executions of each grasp with errors of place, direction and friction, beside the
             exact one.
-        out: Picture (.png) to write: of each heap, a strip of frames of the best-rated grasp, in
-            the first state.
+        out: Picture (.png, .jpg or .webp) to write: of each heap, a strip of frames of the
+            best-rated grasp, in the first state.
         table: File (.json) to write: the shares and their differences.
     """
+
+    writes = (("out", PICTURES), ("table", (".json",)))
 
     gripper: str
     network: Path | None = None
@@ -279,8 +286,6 @@ class LiftChosen(GripperTargets):
         """Plan, lift, print outcomes and draw."""
         networks = (self.network,) if self.network else ()
         robot = Robot((self.gripper,), networks)
-        for place in filter(None, (self.out, self.table)):
-            check_place(place)
         _, heaps, objects = self.opened()
         plan = LiftPlan(objects, robot, self.states, self.repeats, self.seed)
         with bars() as progress:
@@ -342,6 +347,8 @@ class FindCeiling(GripperTargets):
         experiment: First column of that table.
     """
 
+    writes = (("summary", ()),)
+
     gripper: str
     networks: tuple[Path, ...] = ()
     rated: int = 30
@@ -353,8 +360,6 @@ class FindCeiling(GripperTargets):
         """Try, print, and enter the shares."""
         robot = Robot(tuple(self.gripper.split("+")), self.networks)
         config = CeilingConfig(self.rated, self.geometric, self.seed)
-        if self.summary:
-            check_place(self.summary)
         heap_set, heaps, objects = self.opened()
         with bars() as progress:
             found = reach_of(heaps, objects, robot, config, self.workers, progress)

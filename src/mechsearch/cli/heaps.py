@@ -8,6 +8,7 @@ import tyro
 
 from mechsearch.cli.command import (
     FLAT,
+    PICTURES,
     OfObjects,
     Parallel,
     Spread,
@@ -31,6 +32,8 @@ class Generate(Spread):
         config: What to generate.
     """
 
+    keeps = "the drops so far are"
+
     out: Path
     config: Annotated[GenerateConfig, FLAT] = field(default_factory=GenerateConfig)
 
@@ -51,9 +54,11 @@ class ShowHeaps(OfObjects):
 
     Attributes:
         heaps: Heap set (.parquet), or household-single or household-dual, the embedded ones.
-        out: Picture to write; none by default.
+        out: Picture to write (.png, .jpg or .webp); none by default.
         limit: Heaps to draw, spread evenly over the set.
     """
+
+    writes = (("out", PICTURES),)
 
     heaps: Annotated[Path, tyro.conf.Positional]
     out: Path | None = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import Command, bars, save, say, say_table
+from mechsearch.cli.command import PICTURES, Command, bars, save, say, say_table
 from mechsearch.objects.catalog import load_object_set, ycb_folder
 from mechsearch.objects.model import ObjectModel
 from mechsearch.objects.ycb.download import OFFICIAL, pull_ycb
@@ -24,6 +24,8 @@ class Pull(Command):
         names: Objects to pull, such as 025_mug; all by default.
         site: Address to pull from.
     """
+
+    keeps = "what is downloaded is"
 
     which: Annotated[Literal["ycb"], tyro.conf.Positional]
     folder: Path | None = None
@@ -70,10 +72,12 @@ class Sheet(Command):
 
     Attributes:
         objects: "household", "ycb", or a folder of meshes with masses.
-        out: Picture to write.
+        out: Picture to write (.png, .jpg or .webp).
         columns: Objects in a row.
         size: Side of each tile [px].
     """
+
+    writes = (("out", PICTURES),)
 
     objects: str = "household"
     out: Path = Path("objects.png")

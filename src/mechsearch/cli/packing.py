@@ -14,7 +14,6 @@ from mechsearch.files import (
     CONFIG_FILE,
     INPUTS_FILE,
     METRICS_FILE,
-    check_place,
     read_lines,
     read_record,
     write_json,
@@ -35,15 +34,14 @@ class Pack(Command):
         out: Weights to write (.safetensors); the card comes beside them (.json).
     """
 
+    writes = (("out", (".safetensors",)),)
+
     run_directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     scores: Path
     out: Path
 
     def run(self) -> None:
         """Write both files."""
-        if self.out.suffix != ".safetensors":
-            raise MechSearchError(f"weights are written to a .safetensors file, not {self.out}")
-        check_place(self.out)
         policy = load_policy(self.run_directory)
         card = self._card(load_episodes(self.scores), policy.training_actions)
         save_policy(policy, self.out, rounded=True)

@@ -11,7 +11,7 @@ import tyro
 
 from mechsearch.cli.command import Command, models_of, say, wrote
 from mechsearch.evaluation.episodes import Evaluation, read_summary
-from mechsearch.files import write_text
+from mechsearch.files import check_place, write_text
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
 from mechsearch.pictures.film import Models
@@ -31,15 +31,18 @@ class Report(Command):
     Attributes:
         sources: A sweep's folder; or evaluations (.npz), run directories, and folders of either; or
             one summary (.csv).
-        out: Page (.html) to write, or plot (.svg) of a summary.
+        out: Page (.html) to write, or plot (.svg) of a summary; report.html or report.svg by
+            default.
         title: Of the page; by default it says what was to be done.
         objects: Object set for the pictures; the one that the evaluations name by default.
         pictures: Whether to draw episodes.
         pdf: The same for print; of a sweep's folder beside the page by default.
     """
 
+    writes = (("pdf", (".pdf",)),)
+
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    out: Path = Path("report.html")
+    out: Path | None = None
     title: str = ""
     objects: str = ""
     pictures: bool = True
@@ -47,19 +50,22 @@ class Report(Command):
 
     def run(self) -> None:
         """Write the page or the plot, and say what was found."""
-        if [source.suffix for source in self.sources] == [".csv"]:
-            write_text(self.out, to_svg(draw_summary(read_summary(self.sources[0]))))
-            wrote(self.out)
+        of_summary = [source.suffix.lower() for source in self.sources] == [".csv"]
+        out = self.out or Path("report.svg" if of_summary else "report.html")
+        check_place(out, (".svg",) if of_summary else (".html", ".htm"))
+        if of_summary:
+            write_text(out, to_svg(draw_summary(read_summary(self.sources[0]))))
+            wrote(out)
             return
         found = analyse(read_experiment(*self.sources))
         planned = found.experiment.plan is not None
         models = self._models(found.experiment) if self.pictures else None
         text = document(found, self.title or _title(found.experiment), models, replayed)
-        write_text(self.out, to_html(text))
-        pdf = self.pdf or (self.out.with_suffix(".pdf") if planned else None)
+        write_text(out, to_html(text))
+        pdf = self.pdf or (out.with_suffix(".pdf") if planned else None)
         if pdf:
             write_pdf(pdf, text)
-        beside = self.out.with_suffix("") if planned else None
+        beside = out.with_suffix("") if planned else None
         if beside:
             for name, svg in text.drawings.items():
                 write_text(beside / f"{name}.svg", svg)
@@ -67,7 +73,7 @@ class Report(Command):
                 write_text(beside / f"{name}.csv", _csv(rows))
         for line in found.lines:
             say(line)
-        for path in filter(None, (self.out, pdf, beside)):
+        for path in filter(None, (out, pdf, beside)):
             wrote(path)
 
     def _models(self, experiment: Experiment) -> dict[str, Models]:

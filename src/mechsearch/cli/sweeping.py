@@ -9,6 +9,7 @@ import tyro
 
 from mechsearch.cli.command import Spread, say, wrote
 from mechsearch.cli.overrides import optional, overridden
+from mechsearch.env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
 from mechsearch.experiments.sweep import DONE, STATES, SweepStatus, carry_out, status_of
@@ -32,6 +33,9 @@ class Sweep(Spread):
         only: Names of the jobs to carry out now, such as 'single/method-seed*'; all by default.
             What they name is made again if its actor or episodes were removed.
     """
+
+    behind = (optional(TaskConfig),)
+    keeps = "finished jobs, and the checkpoints of others, are"
 
     out: Path
     quick: bool = False

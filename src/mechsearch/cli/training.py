@@ -1,5 +1,6 @@
 """`mechsearch train`; needs PyTorch."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import Annotated, Any, Generic, Self, TypeVar
 import tyro
 
 from mechsearch.algorithm import A, RunConfig, Schedule
-from mechsearch.cli.command import FLAT, Command, bars, say, wrote
+from mechsearch.cli.command import FLAT, Command, bars, parsed, say, wrote
 from mechsearch.env import TaskConfig
 from mechsearch.evaluation.episodes import metrics_of
 from mechsearch.files import CONFIG_FILE
 from mechsearch.training.config import ALGORITHMS, PRESETS, load_config, run_config
 from mechsearch.training.run import RunInputs, crossings, train
+from mechsearch.training.run_directory import RunDirectory
 from mechsearch.types import MechSearchError
 
 T = TypeVar("T", bound=TaskConfig)
@@ -48,7 +50,7 @@ class Train(Command, Generic[A, T]):
     @classmethod
     def parse(cls, program: str, words: Sequence[str]) -> Self:
         """Return options with the defaults of a variant, or of the run to go on with."""
-        if not words or words[0] in ("-h", "--help"):
+        if not words or words[0] in ("-h", "--help", "--help-all"):
             say(_usage(program))
             raise SystemExit(0)
         if words[0] == "--resume":
@@ -77,7 +79,8 @@ class Train(Command, Generic[A, T]):
         """Return options, those of the default's own algorithm among them."""
         generic: Any = Train
         kind = generic[type(default.algorithm), type(default.task)]
-        options: Self = tyro.cli(kind, prog=program, args=list(words), default=default)
+        behind = (type(default.algorithm), type(default.task))
+        options: Self = parsed(kind, program, words, behind, default=default)
         return options
 
     def run(self) -> None:
@@ -93,6 +96,13 @@ class Train(Command, Generic[A, T]):
             say(f"it went on with {', '.join(others)}: not the bits of a run that never stopped")
         wrote(self.out)
 
+    def interrupted(self, words: Sequence[str]) -> str:
+        """Return which checkpoint is left, and the command that goes on from it."""
+        if not (self.out / CONFIG_FILE).exists():
+            return "nothing was learnt yet; give the same command again"
+        said = f"kept is what was learnt in {RunDirectory(self.out).kept} actions, what came after "
+        return f"{said}is lost; go on by `mechsearch train --resume {shlex.quote(str(self.out))}`"
+
 
 def _usage(program: str) -> str:
     return f"""\
@@ -101,4 +111,5 @@ usage: {program} VARIANT --heaps FILE --out FOLDER [OPTIONS]
 
 Variants: {", ".join(PRESETS)}; algorithms by themselves: {", ".join(ALGORITHMS)};
 or package.module:factory, an algorithm of your own.
-`{program} VARIANT --help` tells every option with the variant's own default."""
+`{program} VARIANT --help` tells the main options with the variant's own defaults, and
+`{program} VARIANT --help-all` every detail of the task and of the algorithm."""

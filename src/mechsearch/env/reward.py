@@ -6,13 +6,14 @@ subtracted here.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from mechsearch.entry_point import is_entry_point, load_entry_point
+from mechsearch.entry_point import called, is_entry_point, load_entry_point
 from mechsearch.types import Array, MechSearchError
 
 IDLENESS = ("every action", "nothing moved")
@@ -126,10 +127,11 @@ def reward_of(config: RewardConfig) -> tuple[Reward, tuple[str, ...]]:
     if config.function == PAPER_REWARD:
         return terms, tuple(terms(*_NOTHING_MOVED, config))
     function: Reward = load_entry_point(config.function, "reward function")
-    names = tuple(_named_numbers(function(*_NOTHING_MOVED, config), config))
+    ask = partial(called, function, "reward function", config.function)
+    names = tuple(_named_numbers(ask(*_NOTHING_MOVED, config), config))
 
     def checked(*action: Any) -> dict[str, float]:
-        found = _named_numbers(function(*action), config)
+        found = _named_numbers(ask(*action), config)
         if found.keys() != set(names):
             raise MechSearchError(
                 f"reward function {config.function!r} returned {', '.join(found)}; expected "

@@ -1,7 +1,7 @@
 """Policies by name: baselines, teachers, trained and shipped ones and users' own."""
 
+import hashlib
 import importlib
-import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.entry_point import conforming, is_entry_point, load_entry_point
+from mechsearch.entry_point import called, conforming, is_entry_point, load_entry_point
 from mechsearch.env import (
     HeapEnv,
     RetrievalTask,
@@ -20,10 +20,10 @@ from mechsearch.env import (
     roll_out,
     task_from_json,
 )
-from mechsearch.files import CONFIG_FILE, read_json, read_record
+from mechsearch.files import CONFIG_FILE, POLICY_FILE, read_content, read_json, read_record
 from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher
-from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy
+from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy, check_extra
 
 TRAINED_LOADER = "mechsearch.training.run_directory:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
@@ -196,7 +196,7 @@ def make_policy(spec: str) -> Policy:
     if _is_file_of_run(spec):
         return _trained(Path(spec))
     if is_entry_point(spec):
-        return checked_policy(load_entry_point(spec, "policy")(), spec)
+        return checked_policy(called(load_entry_point(spec, "policy"), "policy", spec), spec)
     known = ", ".join((*policy_names(), LOOK_AHEAD, *SHIPPED_POLICIES, *RETRIEVAL))
     raise MechSearchError(
         f"unknown policy {spec!r}; choose one of {known}, a run "
@@ -244,6 +244,18 @@ def config_of_run(spec: str) -> Mapping[str, Any]:
         if (folder / CONFIG_FILE).is_file():
             return read_record(folder / CONFIG_FILE, "training configuration")
     return {}
+
+
+def actor_of(spec: str) -> str | None:
+    """Return the SHA-256 of the file that a trained policy is read from; None for others."""
+    if spec in SHIPPED_POLICIES:
+        file = shipped_file(spec)
+    elif _is_file_of_run(spec):
+        file = Path(spec) / POLICY_FILE if Path(spec).is_dir() else Path(spec)
+    else:
+        return None
+    content = read_content(file)
+    return None if content is None else hashlib.sha256(content).hexdigest()
 
 
 def goal_of(policy: Policy) -> str:
@@ -322,8 +334,7 @@ def _trained(path: Path) -> Policy:
 
 
 def _check_torch(who: str) -> None:
-    if importlib.util.find_spec("torch") is None:
-        raise MechSearchError(f"{who} needs PyTorch; install mechsearch[learn]")
+    check_extra(who, "learn")
     # Other numbers of threads give other bits, and scores must not depend on the workers.
     importlib.import_module("torch").set_num_threads(1)
 

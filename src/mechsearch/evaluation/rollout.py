@@ -30,6 +30,7 @@ from mechsearch.evaluation.episodes import (
 from mechsearch.evaluation.policies import (
     RETRIEVE,
     SHIPPED_POLICIES,
+    actor_of,
     card,
     check_view,
     checked_policy,
@@ -320,6 +321,33 @@ def in_task(plan: EvaluationPlan, change: Callable[[TaskConfig], TaskConfig]) ->
     return changed
 
 
+def planned_header(plan: EvaluationPlan) -> dict[str, Any]:
+    """Return what an evaluation of a plan will say that it was made of; see `other_inputs`.
+
+    Raises:
+        MechSearchError: If the plan cannot be carried out.
+    """
+    rollouts = _Rollouts(plan)
+    return rollouts.header | {"heaps": len(rollouts.heap_set.choose(plan.split, plan.limit))}
+
+
+_NO_INPUTS = (
+    *("version", "engine", "fingerprint", "object_set", "task_differs"),
+    *("quarantined", "simulated_actions"),
+)
+"""What of a header is of the program, or follows from the rest."""
+
+
+def other_inputs(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return in what inputs the headers of two evaluations differ, such as "split" or "heap set".
+
+    The program's version is none: a later one may score the same anew.
+    """
+    names = (*one, *(name for name in other if name not in one))
+    named = [n for n in names if n not in _NO_INPUTS and one.get(n) != other.get(n)]
+    return tuple(name.replace("_", " ") for name in named)
+
+
 def differing(one: TaskConfig, other: TaskConfig) -> tuple[str, ...]:
     """Return in what another task differs from one, such as "reward.movement 75 -> 100"."""
     return tuple(
@@ -428,14 +456,16 @@ class _Rollouts:
             "object_set": plan.objects or heap_set.objects,
             "object_hashes": {name: digest for name, digest in hashes.items() if name in used},
             "split": plan.split,
-            "env": asdict(self.env.config),
+            "env": asdict(environment_config(self.task, self.policy.keys)),
             "task_differs": differing(self.own_task, self.task),
             "engine": ENGINE_VERSION,
             "version": version("mechsearch"),
             "fingerprint": fingerprint(),
         }
-        if isinstance(self.env, RetrieveEnv):
+        if isinstance(self.task, RetrievalTask):
             header["goal"] = RETRIEVE
+        if isinstance(plan.policy, str) and (actor := actor_of(plan.policy)):
+            header["actor"] = actor
         # As it will be read back: lists for tuples.
         plain: dict[str, Any] = json.loads(json.dumps(header))
         return plain
@@ -457,10 +487,18 @@ def make_environment(
         keys: Observation keys.
         privileged: Whether to add the keys that critic and teachers read.
     """
-    if isinstance(task, RetrievalTask):
-        config = RetrieveConfig.of_task(task, keys, privileged)
+    config = environment_config(task, keys, privileged)
+    if isinstance(config, RetrieveConfig):
         return RetrieveEnv(heaps, objects, config)
-    return HeapEnv(heaps, objects, HeapEnvConfig.of_task(task, keys, privileged))
+    return HeapEnv(heaps, objects, config)
+
+
+def environment_config(
+    task: TaskConfig, keys: Sequence[str], privileged: bool = False
+) -> HeapEnvConfig | RetrieveConfig:
+    """Return the configuration of the environment that `make_environment` makes."""
+    kind = RetrieveConfig if isinstance(task, RetrievalTask) else HeapEnvConfig
+    return kind.of_task(task, keys, privileged)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import errno
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -49,12 +49,20 @@ def not_written(error: OSError, path: Path) -> NotWrittenError:
     )
 
 
-def check_place(path: Path) -> None:
+def check_place(path: Path, formats: Sequence[str] = ()) -> None:
     """Refuse a file that cannot be written, before hours of work for it.
 
+    Args:
+        path: The file.
+        formats: Suffixes of which it must have one, be it in capitals; none takes any file.
+
     Raises:
+        MechSearchError: If its suffix is another.
         NotWrittenError: If its folder is not to be written to.
     """
+    if formats and path.suffix.lower() not in formats:
+        found = f"has the unknown format {path.suffix!r}" if path.suffix else "names no format"
+        raise MechSearchError(f"{path} {found}; choose one of {', '.join(formats)}")
     folder = path.parent
     while not folder.exists():
         folder = folder.parent
@@ -68,13 +76,15 @@ def check_place(path: Path) -> None:
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file beside `path`, then rename it: no reader sees half of it.
 
+    The file beside it ends in the same suffix, in small letters, by which writers know formats.
+
     Raises:
         NotWrittenError: If the disk is full, or the place is not to be written to.
     """
     with naming(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.stem}.", suffix=".partial" + path.suffix
+            dir=path.parent, prefix=f".{path.stem}.", suffix=".partial" + path.suffix.lower()
         )
         os.close(handle)
         partial = Path(name)

@@ -96,6 +96,12 @@ class GenerateConfig:
             raise MechSearchError(f"unknown drop {self.drop!r}; choose one of {', '.join(DROPS)}")
         if len(set(self.counts)) < len(self.counts):
             raise MechSearchError(f"counts are {self.counts}; expected each number once")
+        least = 2 if self.condition == "single" else 1
+        if min(self.object_counts) < least:
+            raise MechSearchError(
+                f"counts are {self.counts}; expected each at least {least}: a heap has something "
+                "that hides something"
+            )
         quotas = len(self.object_counts)
         if self.heaps < 1 or self.heaps % quotas:
             raise MechSearchError(
@@ -212,18 +218,17 @@ def generate(
         mapper: How the attempts are spread.
 
     Raises:
-        MechSearchError: If `path` holds another set, the objects are too few, or another process
-            generates this set.
+        MechSearchError: If `path` holds another set, the objects are too few or hardly ever hide
+            each other, or another process generates this set.
     """
-    path = Path(path)
+    path, objects = Path(path), object_set(config.objects)
+    needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
+    if len(objects.models) < needed:
+        raise MechSearchError(
+            f"object set {objects.name!r} has {len(objects.models)} objects that can lie in a "
+            f"heap; these heaps need {needed} distinct ones"
+        )
     with alone(path, f"the heap set {path}"):
-        objects = object_set(config.objects)
-        needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
-        if len(objects.models) < needed:
-            raise MechSearchError(
-                f"object set {objects.name!r} has {len(objects.models)} objects that can lie in a "
-                f"heap; these heaps need {needed} distinct ones"
-            )
         journal = _open_journal(config, objects, path)
         quota = config.heaps // len(config.object_counts)
         quotas = {count: Quota(count, quota) for count in config.object_counts}
@@ -237,15 +242,24 @@ def generate(
             if one.full:
                 continue
             append_line(journal, drop.row())
-            one.add(drop)
+            try:
+                one.add(drop)
+            except MechSearchError:
+                # For good: nobody goes on with these drops, and another set may be wanted here.
+                _discard(journal)
+                raise
             if drop.heap is not None:
                 progress(f"{config.condition} heaps of {one.count}", len(one.heaps), quota)
             if all(one.full for one in quotas.values()):
                 break
         heap_set = save_heaps(path, *_collected(config, objects, list(quotas.values())))
-        journal.unlink()
-        journal.with_suffix(".json").unlink()
+        _discard(journal)
         return heap_set
+
+
+def _discard(journal: Path) -> None:
+    journal.unlink()
+    journal.with_suffix(".json").unlink()
 
 
 def _collected(
@@ -382,15 +396,18 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
     header = journal.with_suffix(".json")
     if path.exists():
         raise MechSearchError(f"{path} exists already; name another file or remove it")
+    rows = list(read_lines(journal))
     if header.exists() and read_record(header, "journal of a heap set") != json.loads(
         json.dumps(identity)
     ):
-        raise MechSearchError(
-            f"{header.name} beside {path} belongs to another heap set that was cut off; finish "
-            "that one with its own settings, or remove the file and its .jsonl"
-        )
+        if any(row["heap"] for row in rows):
+            raise MechSearchError(
+                f"{header.name} beside {path} belongs to another heap set that was cut off; finish "
+                "that one with its own settings, or remove the file and its .jsonl"
+            )
+        rows = []
     write_record(header, "journal of a heap set", identity)
-    write_text(journal, "".join(map(line_of, read_lines(journal))))
+    write_text(journal, "".join(map(line_of, rows)))
     return journal
 
 

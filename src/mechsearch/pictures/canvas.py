@@ -13,13 +13,16 @@ from scipy import ndimage
 
 from mechsearch.camera import Camera
 from mechsearch.render.renderer import Renderer
-from mechsearch.types import Array
+from mechsearch.types import Array, MechSearchError
 
 SMOOTHING = 2
 """Pictures are rendered so many times larger than they are shown."""
 
 FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
 """Folder of DejaVu, the typeface of all pictures, figures and pages."""
+
+SIDES = (16, 2048)
+"""Least and greatest side of a picture [px]."""
 
 WHITE, INK = (255, 255, 255), (32, 36, 44)
 _SOFT = (110, 116, 126)
@@ -86,6 +89,20 @@ def legible(text: str) -> str:
         c if ord(c) in _glyphs() or c.isspace() else c.encode("unicode_escape").decode()
         for c in text
     )
+
+
+def check_side(size: int) -> None:
+    """Refuse pictures too small to be seen, or too large for a computer's memory.
+
+    Args:
+        size: Their side [px].
+
+    Raises:
+        MechSearchError: If it is out of range.
+    """
+    least, most = SIDES
+    if not least <= size <= most:
+        raise MechSearchError(f"a size of {size} px; expected {least} to {most}")
 
 
 def shrunk(image: Image.Image, size: int) -> Image.Image:

@@ -6,7 +6,6 @@ way where the decisions are carried out again (`pictures.replay`). Films are GIF
 or MP4 with the `video` extra.
 """
 
-import importlib.util
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -18,12 +17,20 @@ from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
-from mechsearch.files import write_whole
+from mechsearch.files import check_place, write_whole
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import SMOOTHING, captioned, photographed, shrunk, tiled
+from mechsearch.pictures.canvas import SMOOTHING, captioned, check_side, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
 from mechsearch.sim import AnyGripper, Pusher, gripper_named, open_parts, pusher_model
-from mechsearch.types import DECISION_NAMES, PUSH, USED_UP, Array, Floats, MechSearchError
+from mechsearch.types import (
+    DECISION_NAMES,
+    PUSH,
+    USED_UP,
+    Array,
+    Floats,
+    MechSearchError,
+    check_extra,
+)
 
 PHASES = {"close": 1, "lift": 2, "descend": 2}
 """Phases of a grasp whose ends a filmstrip shows where it has the room, and from which detail."""
@@ -170,6 +177,11 @@ class FilmConfig:
     camera: str = ""
     size: int = 288
     captions: bool = True
+
+    def __post_init__(self) -> None:
+        check_side(self.size)
+        if self.camera:
+            preset(self.camera)
 
 
 class Film:
@@ -363,23 +375,25 @@ def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
         rate: Moments shown in a second.
 
     Raises:
-        MechSearchError: If the format is unknown, the rate is not positive, or MP4 is asked for
+        MechSearchError: As `check_film`.
+    """
+    check_film(path, rate)
+    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    write_whole(path, lambda partial: write(partial, film, rate))
+
+
+def check_film(path: Path, rate: float = 6.0) -> None:
+    """Refuse a film that cannot be written, before there is one.
+
+    Raises:
+        MechSearchError: If the format is unknown, the rate is out of range, or MP4 is asked for
             without the `video` extra.
     """
-    if rate <= 0:
-        raise MechSearchError(f"a film of {rate} actions a second; expected more than 0")
-    if path.suffix == ".gif":
-        write_whole(path, lambda partial: _write_gif(partial, film, rate))
-    elif path.suffix == ".mp4":
-        if importlib.util.find_spec("imageio_ffmpeg") is None:
-            raise MechSearchError(
-                f"writing {path} needs the video extra: install mechsearch[video], or choose .gif"
-            )
-        write_whole(path, lambda partial: _write_mp4(partial, film, rate))
-    else:
-        raise MechSearchError(
-            f"unknown film format {path.suffix!r}; choose one of {', '.join(FORMATS)}"
-        )
+    check_place(path, FORMATS)
+    if not 0.01 <= rate <= 100:
+        raise MechSearchError(f"a film of {rate} moments a second; expected 0.01 to 100")
+    if path.suffix.lower() == ".mp4":
+        check_extra(f"{path} (as .gif it does not)", "video")
 
 
 def _write_gif(path: Path, film: Film, rate: float) -> None:

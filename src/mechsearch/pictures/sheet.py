@@ -8,7 +8,15 @@ from PIL import Image
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel
-from mechsearch.pictures.canvas import SMOOTHING, WHITE, captioned, photographed, shrunk, tiled
+from mechsearch.pictures.canvas import (
+    SMOOTHING,
+    WHITE,
+    captioned,
+    check_side,
+    photographed,
+    shrunk,
+    tiled,
+)
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import MechSearchError
 
@@ -24,8 +32,11 @@ def object_sheet(
         size: Side of a tile [px].
 
     Raises:
-        MechSearchError: If there is no object.
+        MechSearchError: If there is no object or column, or the size is out of range.
     """
+    check_side(size)
+    if columns < 1:
+        raise MechSearchError(f"{columns} columns; expected at least 1")
     if not models:
         raise MechSearchError("there is no object to draw; expected at least one")
     tiles = []
@@ -53,8 +64,9 @@ def heap_sheet(
         size: Side of a tile [px].
 
     Raises:
-        MechSearchError: If there is no heap, or an object is unknown.
+        MechSearchError: If there is no heap, an object is unknown, or the size is out of range.
     """
+    check_side(size)
     if not heaps:
         raise MechSearchError("there is no heap to draw; expected at least one")
     view = preset(camera, size * SMOOTHING)

@@ -8,7 +8,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
@@ -114,7 +114,8 @@ class Worker:
         self._started = False
         self.awaited, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(make, theirs), daemon=True)
-        self._process.start()
+        with _deaf():
+            self._process.start()
         theirs.close()
         self.asked: deque[Asked] = deque()
         self.alive = True
@@ -209,6 +210,22 @@ def replies(
                 yield reply
         elif worker.deadline <= time.monotonic():
             yield worker.fail("worker hung")
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Have processes that are started inside never hear Ctrl-C, which is their parent's to answer.
+
+    Until they run code of ours they would each answer it by a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(make: Callable[[], Callable[[Any], Any]], pipe: Connection) -> None:

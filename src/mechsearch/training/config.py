@@ -8,7 +8,7 @@ from typing import Any, cast
 from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import NetworkConfig
 from mechsearch.algorithm import Algorithm, RunConfig, Schedule
-from mechsearch.entry_point import is_entry_point, load_entry_point
+from mechsearch.entry_point import called, is_entry_point, load_entry_point
 from mechsearch.env import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
 from mechsearch.push_values.algorithm import PushValues
@@ -42,7 +42,7 @@ def make_algorithm(spec: str) -> Algorithm:
             f"unknown algorithm {spec!r}; choose one of {', '.join(ALGORITHMS)}, or "
             "package.module:factory"
         )
-    made: Any = load_entry_point(spec, "algorithm")()
+    made: Any = called(load_entry_point(spec, "algorithm"), "algorithm", spec)
     missing = [name for name in _NEEDED if not hasattr(made, name)]
     if missing or not is_dataclass(made):
         raise MechSearchError(

@@ -181,6 +181,11 @@ class RunDirectory:
         for old in self._checkpoints()[:-_KEPT]:
             old.unlink()
 
+    @property
+    def kept(self) -> int:
+        """Actions executed up to the last checkpoint; 0 if there is none yet."""
+        return max((int(path.stem.partition("-")[2]) for path in self._checkpoints()), default=0)
+
     def save_policy(self, step: int, policy: TrainedPolicy) -> None:
         """Write the policy as it is now, both by step and as the run's last."""
         for path in (f"{POLICIES_FOLDER}/step-{step:08d}.safetensors", POLICY_FILE):
