@@ -170,7 +170,7 @@ def test_an_interruption_says_that_files_are_whole(
     ("words", "left"),
     [
         (["heaps", "generate", "--out", "h p"], "go on by `mechsearch heaps generate --out 'h p'`"),
-        (["train", "debug", "--heaps", "h", "--out", "r"], "nothing was learnt yet; give the same command again"),
+        (["train", "debug", "--heaps", "h", "--out", "r"], "nothing was learnt yet; give the same"),
         (["train", "--resume", "begun"], "40 actions, what came after is lost; go on by "
          "`mechsearch train --resume begun`"),
         (["grasp", "label", "--heaps", "h", "--out", "g"], "go on by `mechsearch grasp label"),

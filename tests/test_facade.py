@@ -1,9 +1,12 @@
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import mechsearch
+from mechsearch.evaluation.episodes import load_episodes, save_episodes
+from mechsearch.heaps.dataset import embedded_file
 
 
 def test_every_public_name_is_found_and_they_are_sorted():
@@ -24,3 +27,15 @@ def test_an_unknown_name_is_no_attribute():
 def test_the_base_install_needs_no_torch(module):
     code = f"import sys, mechsearch.{module}; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_files_are_named_by_text_or_by_path(tmp_path):
+    heaps = embedded_file("single")
+    for kind in (str, Path):
+        found = mechsearch.load_heaps(kind(heaps))
+        assert found.hash == mechsearch.load_heaps(heaps).hash
+        evaluation = mechsearch.evaluate("idle", kind(heaps), limit=1)
+        save_episodes(kind(tmp_path / "idle.npz"), evaluation)
+        assert load_episodes(kind(tmp_path / "idle.npz")).header == evaluation.header
+    with pytest.raises(mechsearch.MechSearchError, match=r"no actor at absent\.safetensors"):
+        mechsearch.make_policy(Path("absent.safetensors"))

@@ -3,6 +3,7 @@
 import io
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mechsearch.algorithm import RunConfig
+from mechsearch.cli import main
 from mechsearch.evaluation import episodes
 from mechsearch.files import read_json
 from mechsearch.grasp.camera_files import read_camera
@@ -27,6 +29,50 @@ from mechsearch.push_values.algorithm import load_episode
 from mechsearch.training.config import load_config
 from mechsearch.training.run_directory import load_policy
 from mechsearch.types import MechSearchError
+
+CORPUS = sorted(path for path in (Path(__file__).parent / "corpus").rglob("*") if path.is_file())
+HEAPS = str(Path(dataset.__file__).with_name("household_single.parquet"))
+
+COMMANDS = """
+objects list --objects FILE
+objects sheet --objects FILE --out OUT/a.png
+heaps generate --objects FILE --out OUT/h.parquet
+heaps show FILE
+heaps show HEAPS --objects FILE --out OUT/a.png
+heaps verify FILE --workers 1
+train debug --heaps FILE --out OUT/run
+train debug --heaps HEAPS --objects FILE --out OUT/run
+train --resume FILE
+evaluate idle --heaps FILE --out OUT
+evaluate FILE --out OUT
+evaluate idle --objects FILE --out OUT
+evaluate idle --grasp-network FILE --out OUT
+sweep --status --out FILE
+sweep --quick --grasps True --grasp-network FILE --out OUT
+verify FILE --heaps HEAPS --workers 1
+verify EPISODES --heaps FILE --workers 1
+show FILE --out OUT/a.png
+show EPISODES --objects FILE --out OUT/a.gif
+pack FILE --scores EPISODES --out OUT/a.safetensors
+report FILE
+grasp score --heaps FILE
+grasp score --heaps HEAPS --network FILE
+grasp score --depth FILE --mask FILE --intrinsics FILE
+grasp lift --heaps FILE
+grasp lift --gripper jaws-85 --heaps FILE
+grasp lift --gripper jaws-85 --heaps HEAPS --network FILE
+grasp label --heaps FILE --out OUT
+grasp label --gripper suction --heaps FILE --out OUT
+grasp label --gripper suction --heaps HEAPS --network FILE --out OUT
+grasp train --labels FILE --out OUT
+grasp train --gripper suction --labels FILE --out OUT
+grasp test --labels FILE
+grasp test --gripper suction --labels FILE
+grasp calibrate FILE
+grasp ceiling --gripper suction --heaps FILE
+grasp ceiling --gripper suction --heaps HEAPS --networks FILE
+""".strip().splitlines()
+"""What every command that reads a file is told, and where the file stands."""
 
 READERS = {
     "heaps.parquet": dataset.load_heaps,
@@ -62,6 +108,57 @@ json_values = st.recursive(
     ),
     max_leaves=8,
 )
+
+
+@pytest.fixture(scope="module")
+def garbage(tmp_path_factory):
+    """Files and folders of every kind but those that are asked for."""
+    folder = tmp_path_factory.mktemp("garbage")
+    picture = io.BytesIO()
+    Image.new("RGB", (12, 9)).save(picture, "png")
+    arrays = io.BytesIO()
+    np.savez(arrays, allow_pickle=False, depth=np.ones(3))
+    cut = Path(HEAPS).read_bytes()[:-99]
+    everywhere = ("", ".parquet", ".npz", ".safetensors", ".csv", ".json", ".png")
+    for name, content, suffixes in (
+        ("empty", b"", everywhere),
+        ("text", "größe\nnull,\x00\n".encode(), everywhere),
+        ("picture", picture.getvalue(), ("", ".png", ".parquet", ".npz")),
+        ("arrays", arrays.getvalue(), (".npz", ".parquet")),
+        ("cut", cut, (".parquet",)),
+        ("object", b"{}", (".json",)),
+        ("list", b"[1, null]", (".json", ".safetensors")),
+    ):
+        for suffix in suffixes:
+            (folder / f"{name}{suffix}").write_bytes(content)
+    (folder / "folder").mkdir()
+    (folder / "folder.npz").mkdir()
+    return [*folder.iterdir(), folder / "missing", folder / "missing.npz", folder / "text" / "a"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_meets_a_wrong_file_with_a_traceback(
+    command, garbage, small_evaluation, tmp_path, monkeypatch, capsys
+):
+    if command.split()[0] in ("train", "sweep", "pack", "grasp") or "grasp" in command:
+        pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    fixed = {"HEAPS": HEAPS, "EPISODES": str(small_evaluation)}
+    for file in (*garbage, *CORPUS):
+        given = {**fixed, "FILE": str(file)}
+        words = [given.get(word, word.replace("OUT", "out")) for word in command.split()]
+        code = 0
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                main(words)
+        except SystemExit as stopped:
+            code = stopped.code
+        said = capsys.readouterr().err.splitlines()
+        lines = [line for line in said if line.startswith("mechsearch: ")]
+        # What is in the corpus may be what is asked for.
+        if code or file not in CORPUS:
+            assert (code, lines) == (2, said[-1:]), (words, said)
 
 
 def answered(reader, path):

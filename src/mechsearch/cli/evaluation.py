@@ -24,6 +24,7 @@ from mechsearch.env import RetrievalTask, TaskConfig
 from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
+    check_summary,
     in_words,
     load_episodes,
     merge_summary,
@@ -129,6 +130,7 @@ class Evaluate(OfObjects, Spread):
             )
         plans = [self._plan(policy) for policy in self.policies]
         check_place(self.out / "episodes.npz")
+        check_summary(self.summary)
         grasping = self._grasping()
         done: list[Evaluation] = []
         place = alone(self.out / "evaluations", f"the evaluations in {self.out}")

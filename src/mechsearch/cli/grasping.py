@@ -22,6 +22,7 @@ from mechsearch.cli.command import (
 from mechsearch.evaluation.episodes import (
     CEILING_METRICS,
     Estimate,
+    check_summary,
     mean_interval,
     merge_summary,
     share_interval,
@@ -360,6 +361,7 @@ class FindCeiling(GripperTargets):
         """Try, print, and enter the shares."""
         robot = Robot(tuple(self.gripper.split("+")), self.networks)
         config = CeilingConfig(self.rated, self.geometric, self.seed)
+        check_summary(self.summary)
         heap_set, heaps, objects = self.opened()
         with bars() as progress:
             found = reach_of(heaps, objects, robot, config, self.workers, progress)

@@ -220,7 +220,7 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
 
-def save_episodes(path: Path, evaluation: Evaluation) -> None:
+def save_episodes(path: str | Path, evaluation: Evaluation) -> None:
     """Write an evaluation as one `.npz`, whole or not at all.
 
     The same episodes give the same bytes.
@@ -253,15 +253,26 @@ def save_episodes(path: Path, evaluation: Evaluation) -> None:
         with partial.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
 
-    write_whole(path, write)
+    write_whole(Path(path), write)
 
 
-def load_episodes(path: Path) -> Evaluation:
+class _Header(dict[str, Any]):
+    """A header from a file, which says in words what it lacks."""
+
+    def __missing__(self, key: str) -> Any:
+        raise MechSearchError(
+            f"the evaluation {self.get('name', '')!r} does not say its {key.replace('_', ' ')}: "
+            "its file is damaged, or of another version"
+        )
+
+
+def load_episodes(path: str | Path) -> Evaluation:
     """Read what `save_episodes` wrote; nothing in the file is ever run.
 
     Raises:
         MechSearchError: If the file is missing, damaged, or not an evaluation.
     """
+    path = Path(path)
     if path.is_dir():
         raise MechSearchError(f"{path} is a folder; expected an evaluation (.npz)")
     arrays = read_arrays(path, "evaluation")
@@ -272,7 +283,7 @@ def load_episodes(path: Path) -> Evaluation:
                 f"{path} has episode format {text['format']}; this version reads {EPISODE_FORMAT} "
                 f"and {RETRIEVAL_FORMAT}"
             )
-        return Evaluation(text["header"], tuple(_split(arrays, text)))
+        return Evaluation(_Header(text["header"]), tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:
         raise MechSearchError(f"{path} is damaged or no evaluation: {error}") from None
 
@@ -545,6 +556,16 @@ def read_summary(path: Path) -> list[SummaryRow]:
         found = ",".join(lines[0]) if lines else "nothing"
         raise MechSearchError(f"{path} begins with {found}; expected {','.join(SUMMARY_COLUMNS)}")
     return [_row(path, number, line) for number, line in enumerate(lines[1:], start=2)]
+
+
+def check_summary(path: Path | None) -> None:
+    """Refuse a table that scores cannot be entered into, before there are any.
+
+    Raises:
+        MechSearchError: If the file is there but is not a summary.
+    """
+    if path and path.exists():
+        read_summary(path)
 
 
 def merge_summary(path: Path, new: Iterable[SummaryRow]) -> list[SummaryRow]:

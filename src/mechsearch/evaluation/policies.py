@@ -171,7 +171,7 @@ def policy_names() -> tuple[str, ...]:
     return ("random", "idle", *(f"teacher-{name}" for name in TEACHERS))
 
 
-def make_policy(spec: str) -> Policy:
+def make_policy(spec: str | Path) -> Policy:
     """Return the policy that a text names.
 
     Args:
@@ -184,6 +184,7 @@ def make_policy(spec: str) -> Policy:
     Raises:
         MechSearchError: If there is no such policy, or it cannot be made.
     """
+    spec = str(spec)
     if spec in _MADE:
         return _MADE[spec]()
     if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:

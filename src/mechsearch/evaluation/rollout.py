@@ -224,7 +224,7 @@ def _act(policy: Policy, obs: Observation, name: str) -> Array:
 
 
 def evaluate(
-    policy: str | Policy,
+    policy: str | Path | Policy,
     heaps: Path | str | None = None,
     objects: str = "",
     split: str = "held-out",
@@ -252,8 +252,9 @@ def evaluate(
             this task, or no episode could be run.
     """
     file = None if heaps is None else Path(heaps)
+    who = str(policy) if isinstance(policy, Path) else policy
     return evaluate_plan(
-        EvaluationPlan(policy, file, "", objects, split, limit, seed, task, tuple(grippers)),
+        EvaluationPlan(who, file, "", objects, split, limit, seed, task, tuple(grippers)),
         workers,
     )
 

@@ -73,7 +73,7 @@ def trained(policy: Policy, algorithm: Algorithm, actions: int, task: TaskConfig
     return TrainedPolicy(policy, algorithm, actions, task.camera, task.image_size)
 
 
-def save_policy(trained: TrainedPolicy, path: Path, rounded: bool = False) -> None:
+def save_policy(trained: TrainedPolicy, path: str | Path, rounded: bool = False) -> None:
     """Write a policy to a safetensors file that `load_policy` needs nothing beside.
 
     Args:
@@ -90,10 +90,10 @@ def save_policy(trained: TrainedPolicy, path: Path, rounded: bool = False) -> No
         "image_size": trained.image_size,
     }
     name = name_of(trained.algorithm)
-    save_archive(path, Archive(POLICY_KINDS.get(name, name), tensors, {**facts, **known}))
+    save_archive(Path(path), Archive(POLICY_KINDS.get(name, name), tensors, {**facts, **known}))
 
 
-def load_policy(path: Path) -> TrainedPolicy:
+def load_policy(path: str | Path) -> TrainedPolicy:
     """Read a policy written by `save_policy`.
 
     Args:
@@ -102,6 +102,7 @@ def load_policy(path: Path) -> TrainedPolicy:
     Raises:
         MechSearchError: If the file is missing, damaged or holds something else.
     """
+    path = Path(path)
     file = path / POLICY_FILE if path.is_dir() else path
     kind = kind_of(file)
     try:
