@@ -3,6 +3,8 @@
 import importlib.util
 from collections.abc import Mapping
 from enum import StrEnum
+from math import isfinite
+from reprlib import Repr
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -113,6 +115,50 @@ class Policy(Protocol):
         """
 
 
+_SHORT = Repr()
+_SHORT.maxother = _SHORT.maxstring = 100
+
+
+def shown(value: Any) -> str:
+    """Return a value as errors show it: in one line, shortened."""
+    return " ".join(_SHORT.repr(value).split())
+
+
+def real_array(values: Any, expected: str) -> Array:
+    """Return real numbers that somebody gave: an array, a sequence, a tensor of PyTorch.
+
+    A tensor's gradient is left behind, and its device.
+
+    Args:
+        values: What was given.
+        expected: What it should be, for errors.
+
+    Raises:
+        MechSearchError: If it is no array of real numbers.
+    """
+    if hasattr(values, "detach"):
+        values = values.detach().cpu()
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise MechSearchError(f"{expected}; got {shown(values)}: {shown(error)}") from None
+    if array.dtype.kind not in "biuf":
+        raise MechSearchError(f"{expected}; got {shown(values)}")
+    return array
+
+
+def finite_numbers(values: Any, shape: tuple[int, ...], expected: str) -> Floats:
+    """Return finite numbers of a shape that somebody gave; see `real_array`.
+
+    Raises:
+        MechSearchError: If they are anything else.
+    """
+    array = real_array(values, expected)
+    if array.shape != shape or not all(map(isfinite, array.ravel().tolist())):
+        raise MechSearchError(f"{expected}; got shape {array.shape}: {shown(values)}")
+    return np.asarray(array, np.float64)
+
+
 def select(obs: Observation, keys: tuple[str, ...]) -> dict[str, Array]:
     """Return the part of an observation that one policy may read.
 
@@ -122,7 +168,8 @@ def select(obs: Observation, keys: tuple[str, ...]) -> dict[str, Array]:
     missing = [key for key in keys if key not in obs]
     if missing:
         raise MechSearchError(
-            f"the observation lacks {', '.join(missing)}; it has {', '.join(sorted(obs))}. "
-            "Privileged keys need an environment made with privileged=True."
+            f"the observation lacks {', '.join(missing)}; expected {', '.join(keys)}, and it has "
+            f"{', '.join(sorted(obs)) or 'none'}. Privileged keys need an environment made with "
+            "privileged=True."
         )
     return {key: obs[key] for key in keys}

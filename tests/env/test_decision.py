@@ -26,7 +26,7 @@ def test_a_decision_and_its_vector_say_the_same(decision, vector):
 @pytest.mark.parametrize(
     ("vector", "message"),
     [
-        (np.zeros(3), r"shape \(3,\).*expected \(9,\)"),
+        (np.zeros(3), r"is \(9,\) finite.*got shape \(3,\)"),
         ([3, 0, *POSE], r"kind 3; expected 0 \(push\), 1 \(grasp of the target\) or 2"),
         ([0.5, 0, *POSE], "kind 0.5 by gripper 0.0; expected whole numbers"),
         ([GRASP, 0, *POSE[:3], 1.0, 1.0, 0.0, 0.0], "quaternion.*expected length 1"),

@@ -1,7 +1,6 @@
 """What a robot may decide in retrieval: a push, a grasp of the target, or an object's removal."""
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, Self
 
 import gymnasium
@@ -19,10 +18,18 @@ from mechsearch.types import (
     Array,
     Floats,
     MechSearchError,
+    finite_numbers,
+    real_array,
+    shown,
 )
 
 STEEPEST = float(np.cos(np.deg2rad(60.0)))
 """Least upward part of a grasp's z axis: grippers come from above, tilted by at most 60 degrees."""
+
+_VECTOR = (
+    f"a decision is ({DECISION_SIZE},) finite numbers: its kind, the gripper's number, and a "
+    "displacement (3,) or a pose (7,)"
+)
 
 _BELOW = 0.01
 """How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
@@ -54,12 +61,11 @@ class Decision:
     def __post_init__(self) -> None:
         if self.kind not in (PUSH, GRASP, REMOVE):
             raise MechSearchError(
-                f"a decision of kind {self.kind}; expected {PUSH} (push), {GRASP} (grasp of the "
-                f"target) or {REMOVE} (removal of another object)"
+                f"a decision of kind {shown(self.kind)}; expected {PUSH} (push), {GRASP} (grasp of "
+                f"the target) or {REMOVE} (removal of another object)"
             )
         name, expected = DECISION_NAMES[self.kind], 3 if self.kind == PUSH else 7
-        if len(self.numbers) != expected or not all(map(isfinite, self.numbers)):
-            raise MechSearchError(f"a {name} of {self.numbers}; expected {expected} finite numbers")
+        finite_numbers(self.numbers, (expected,), f"a {name} is {expected} finite numbers")
         if self.kind != PUSH and abs(float(np.linalg.norm(self.numbers[3:])) - 1.0) > 1e-4:
             raise MechSearchError(
                 f"a {name} with the quaternion {self.numbers[3:]}; expected length 1"
@@ -87,13 +93,7 @@ class Decision:
         Raises:
             MechSearchError: If it stands for none.
         """
-        values = np.asarray(vector, np.float64)
-        if values.shape != (DECISION_SIZE,) or not np.isfinite(values).all():
-            raise MechSearchError(
-                f"a decision of shape {values.shape}, {values}; expected ({DECISION_SIZE},) finite "
-                "numbers: its kind, the gripper's number, and a displacement (3,) or a pose (7,)"
-            )
-        kind, gripper, *numbers = values.tolist()
+        kind, gripper, *numbers = finite_numbers(vector, (DECISION_SIZE,), _VECTOR).tolist()
         if kind % 1 or gripper % 1:
             raise MechSearchError(
                 f"a decision of kind {kind} by gripper {gripper}; expected whole numbers"
@@ -109,7 +109,8 @@ class Decision:
 
 
 def _plain(numbers: Array) -> tuple[float, ...]:
-    return tuple(np.asarray(numbers, np.float64).ravel().tolist())
+    values = real_array(numbers, "a decision is of numbers")
+    return tuple(np.asarray(values, np.float64).ravel().tolist())
 
 
 class DecisionSpace(gymnasium.spaces.Box):
@@ -137,6 +138,6 @@ class DecisionSpace(gymnasium.spaces.Box):
         """Return whether a vector (9,) stands for a decision within these bounds."""
         try:
             Decision.of(x)
-        except (MechSearchError, TypeError, ValueError):
+        except MechSearchError:
             return False
         return bool(super().contains(x))

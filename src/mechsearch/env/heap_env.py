@@ -8,8 +8,9 @@ import gymnasium
 import numpy as np
 
 from mechsearch.env.reward import reward_of
-from mechsearch.env.scene import HeapScene, choose_heaps, displacement
+from mechsearch.env.scene import HeapScene, SceneEnv, choose_heaps, displacement
 from mechsearch.env.scene import HeapState as HeapState
+from mechsearch.env.scene import start_options as start_options
 from mechsearch.env.task import HeapEnvConfig, with_settings
 from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
@@ -19,7 +20,7 @@ from mechsearch.sim import World, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError
 
 
-class HeapEnv(gymnasium.Env[Any, Array]):
+class HeapEnv(SceneEnv[World]):
     """Episodes over a list of heaps.
 
     `reset(options=...)` takes `heap`, the index of the heap, and `fixed_start`, whether the end
@@ -29,8 +30,6 @@ class HeapEnv(gymnasium.Env[Any, Array]):
     None: such a transition must not be learnt from), `clutter_moved` (mean displacement of the
     non-target objects in this action [m]) and `target_moved` [m].
     """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
 
     def __init__(
         self,
@@ -48,11 +47,11 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             render_mode: "rgb_array" or None.
 
         Raises:
-            MechSearchError: If there is no heap, one names an unknown object, or the reward's
-                function is no good.
+            MechSearchError: If there is no heap, one names an unknown object, the reward's function
+                is no good, or `config` or `render_mode` is none.
         """
-        self.config = config or HeapEnvConfig()
-        self.render_mode = render_mode
+        self.config = HeapEnvConfig() if config is None else config
+        super().__init__(self.config, HeapEnvConfig, render_mode)
         self._scene = HeapScene(
             heaps, objects, self.config, self.config.all_keys, self._world_of,
             pusher_model(self.config.pusher),
@@ -64,33 +63,17 @@ class HeapEnv(gymnasium.Env[Any, Array]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self._actions, self._over = 0, True
 
-    @property
-    def heap(self) -> Heap:
-        """The heap of the current episode.
-
-        Raises:
-            MechSearchError: If none has begun.
-        """
-        return self._scene.heap
-
-    @property
-    def world(self) -> World:
-        """The physics of the current episode, for measurements; stepping it is cheating."""
-        _ = self.heap
-        return self._scene.world
-
-    @property
-    def state(self) -> HeapState:
-        """The true state."""
-        return self._scene.state
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Start an episode."""
+        """Start an episode.
+
+        Raises:
+            MechSearchError: If an option is unknown or no good.
+        """
         super().reset(seed=seed)
         scene = self._scene
-        index = scene.reset(self.np_random, options or {})
+        index = scene.reset(self.np_random, options)
         self._actions = 0
         self._over = False
         return scene.observe(), {"occlusion": scene.occlusion, "heap": index}
@@ -129,23 +112,19 @@ class HeapEnv(gymnasium.Env[Any, Array]):
             end = "action limit"
         return self._result(reward, clutter, target_moved, end)
 
-    def render(self) -> Array | None:
-        """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
-        if self.render_mode != "rgb_array":
-            return None
-        _ = self.heap
-        return self._scene.frame(256, colour=True).rgb
-
     def snapshot(self) -> dict[str, Array]:
         """Return all that the rest of the episode depends on, as arrays."""
         counts = {"actions": np.array(self._actions), "over": np.array(self._over)}
         return self._scene.snapshot() | counts
 
     def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
-        """Return to a snapshot, exactly; return its observation."""
-        self._scene.restore(snapshot)
-        self._actions = int(snapshot["actions"])
-        self._over = bool(snapshot["over"])
+        """Return to a snapshot, exactly; return its observation.
+
+        Raises:
+            MechSearchError: If it is none of an environment of this kind with the same heaps.
+        """
+        self._actions, over = self._scene.restore(snapshot, ("actions", "over"))
+        self._over = bool(over)
         return self._scene.observe()
 
     def _world_of(self, models: Sequence[ObjectModel]) -> World:
@@ -198,5 +177,5 @@ def make_env(
         MechSearchError: If a name or setting is unknown, or heaps and objects do not fit.
     """
     chosen, object_set, camera = choose_heaps(condition, heaps, objects, split)
-    task = with_settings(config or HeapEnvConfig(camera=camera), settings)
+    task = with_settings(HeapEnvConfig, config, camera, settings)
     return HeapEnv(chosen, object_set, task, render_mode)

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from mechsearch.env.decision import Decision, DecisionSpace, reachable
-from mechsearch.env.scene import HeapScene, HeapState, choose_heaps, displacement
+from mechsearch.env.scene import HeapScene, SceneEnv, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import grasp_camera, see_heap
@@ -32,7 +32,7 @@ from mechsearch.types import (
 )
 
 
-class RetrieveEnv(gymnasium.Env[Any, Array]):
+class RetrieveEnv(SceneEnv[GripperWorld]):
     """Episodes over a list of heaps, each until the target is in the hand.
 
     An action is the vector (9,) of a `Decision`, and is carried out to its end. A push moves the
@@ -58,8 +58,6 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         film: Takes the frames of grasps and removals, if it is a list.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
-
     def __init__(
         self,
         heaps: Sequence[Heap],
@@ -76,10 +74,11 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             render_mode: "rgb_array" or None.
 
         Raises:
-            MechSearchError: If there is no heap, one names an unknown object, or a key is unknown.
+            MechSearchError: If there is no heap, one names an unknown object, a key is unknown, or
+                `config` or `render_mode` is none.
         """
-        self.config = config or RetrieveConfig()
-        self.render_mode = render_mode
+        self.config = RetrieveConfig() if config is None else config
+        super().__init__(self.config, RetrieveConfig, render_mode)
         self.film: list[LiftFrame] | None = None
         keys, own = self.config.all_keys, (*GRASP_KEYS, *BUDGET_KEYS, OCCLUSION_KEY)
         unknown = [key for key in keys if key not in (*KEYS, *own)]
@@ -97,32 +96,12 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         self.action_space = DecisionSpace(len(self._grippers), self.config.workspace)
         self._spent, self._wrong, self._over = [0, 0, 0], 0, True
 
-    @property
-    def heap(self) -> Heap:
-        """The heap of the current episode.
-
-        Raises:
-            MechSearchError: If none has begun.
-        """
-        return self._scene.heap
-
-    @property
-    def world(self) -> GripperWorld:
-        """The physics of the current episode, for measurements; stepping it is cheating."""
-        _ = self.heap
-        return self._scene.world
-
-    @property
-    def state(self) -> HeapState:
-        """The true state; what is in the tray is said to lie beside the table."""
-        return self._scene.state
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Start an episode."""
+        """Start an episode; see `HeapEnv.reset`."""
         super().reset(seed=seed)
-        index = self._scene.reset(self.np_random, options or {})
+        index = self._scene.reset(self.np_random, options)
         self._spent, self._wrong, self._over = [0, 0, 0], 0, False
         return self._observe(), {"occlusion": self._scene.occlusion, "heap": index}
 
@@ -154,13 +133,6 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
             end = "budget"
         return self._result(outcome, held, end)
 
-    def render(self) -> Array | None:
-        """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
-        if self.render_mode != "rgb_array":
-            return None
-        _ = self.heap
-        return self._scene.frame(256, colour=True).rgb
-
     def snapshot(self) -> dict[str, Array]:
         """Return all that the rest of the episode depends on, as arrays."""
         return self._scene.snapshot() | {
@@ -172,11 +144,10 @@ class RetrieveEnv(gymnasium.Env[Any, Array]):
         }
 
     def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
-        """Return to a snapshot, exactly; return its observation."""
-        self._scene.restore(snapshot)
-        self._spent = [int(snapshot[name]) for name in ("actions", "grasps", "removals")]
-        self._wrong = int(snapshot["wrong_objects"])
-        self._over = bool(snapshot["over"])
+        """Return to a snapshot, exactly; return its observation; see `HeapEnv.restore`."""
+        names = ("actions", "grasps", "removals", "wrong_objects", "over")
+        *self._spent, self._wrong, over = self._scene.restore(snapshot, names)
+        self._over = bool(over)
         return self._observe()
 
     def _world_of(self, models: Sequence[ObjectModel]) -> GripperWorld:
@@ -317,5 +288,5 @@ def make_retrieve_env(
 ) -> RetrieveEnv:
     """Return an environment of retrieval; arguments and errors are those of `make_env`."""
     chosen, object_set, camera = choose_heaps(condition, heaps, objects, split)
-    task = with_settings(config or RetrieveConfig(camera=camera), settings)
+    task = with_settings(RetrieveConfig, config, camera, settings)
     return RetrieveEnv(chosen, object_set, task, render_mode)

@@ -53,14 +53,15 @@ class RewardConfig:
     still: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.function != PAPER_REWARD and not is_entry_point(self.function):
+        if self.function != PAPER_REWARD and not is_entry_point(str(self.function)):
             raise MechSearchError(
                 f"unknown reward function {self.function!r}; expected {PAPER_REWARD!r} or "
                 "package.module:function"
             )
         for name, value in vars(self).items():
-            if not isinstance(value, str) and not isfinite(value):
-                raise MechSearchError(f"reward.{name} is {value}; expected a finite number")
+            number = isinstance(value, Real) and isfinite(value)
+            if name not in ("function", "idle_when") and not number:
+                raise MechSearchError(f"reward.{name} is {value!r:.80}; expected a finite number")
         if self.idle_when not in IDLENESS:
             raise MechSearchError(
                 f"unknown idle_when {self.idle_when!r}; choose one of {', '.join(IDLENESS)}"

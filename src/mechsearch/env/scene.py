@@ -3,10 +3,12 @@
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from numbers import Real
+from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar, cast
 
+import gymnasium
 import numpy as np
 
 from mechsearch.camera import preset
@@ -17,12 +19,24 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.sim import World
-from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError
+from mechsearch.types import (
+    ACTION_LENGTH,
+    Array,
+    Floats,
+    MechSearchError,
+    finite_numbers,
+    real_array,
+    shown,
+)
 
 _WORLDS_KEPT = 8
 
+_ACTION = "an action is (3,) finite numbers in [-1, 1]"
+
 _TRAY_AWAY = 0.2
 """Between the table and the tray beside it, out of every camera's view [m]."""
+
+_SAVED = ("heap", "world", "poses", "present", "occlusion")
 
 W = TypeVar("W", bound=World)
 
@@ -150,7 +164,7 @@ class HeapScene(Generic[W]):
         """Whether the target is still on the table."""
         return bool(self.present[self.heap.target])
 
-    def reset(self, rng: np.random.Generator, options: Mapping[str, Any]) -> int:
+    def reset(self, rng: np.random.Generator, options: Mapping[str, Any] | None) -> int:
         """Put a heap on the table as it was made; return its index.
 
         Args:
@@ -158,23 +172,20 @@ class HeapScene(Generic[W]):
             options: Of `HeapEnv.reset`.
 
         Raises:
-            MechSearchError: If there is no such heap, or no room for a start.
+            MechSearchError: If an option is no good, or there is no room for a start.
         """
-        index = options.get("heap")
-        if index is None:
-            index = int(rng.integers(len(self.heaps)))
-        if not 0 <= index < len(self.heaps):
-            raise MechSearchError(f"heap {index} does not exist; choose 0 to {len(self.heaps) - 1}")
-        self._open(index)
+        meant = start_options(options, len(self.heaps))
+        index = int(rng.integers(len(self.heaps)) if meant["heap"] is None else meant["heap"])
+        self._index, (self.world, self.renderer) = index, self._opened(index)
         heap = self.heap
-        if options.get("fixed_start", False):
+        if meant["fixed_start"]:
             rng = np.random.default_rng([heap.seed, 1])
         self.world.reset(heap.poses, self._sample_start(rng))
         self.poses = self.world.poses
         self.present = np.ones(len(heap.objects), np.bool_)
         self.moved = np.zeros(len(heap.objects))
         self.occlusion = self._measure_occlusion()
-        return int(index)
+        return index
 
     def push(self, goal: Floats) -> str | None:
         """Push towards a point (3,) [m]; return the name of a simulator failure, or None."""
@@ -251,28 +262,59 @@ class HeapScene(Generic[W]):
             "occlusion": np.array(self.occlusion),
         }
 
-    def restore(self, snapshot: Mapping[str, Array]) -> None:
-        """Return to a snapshot, exactly."""
-        self._open(int(snapshot["heap"]))
-        self.world.restore(snapshot["world"])
-        self.poses = np.array(snapshot["poses"])
-        self.present = np.array(snapshot["present"])
-        self.occlusion = float(snapshot["occlusion"])
-        self.moved = np.zeros(len(self.poses))
+    def restore(self, snapshot: Mapping[str, Array], counts: Sequence[str]) -> list[int]:
+        """Return to a snapshot, exactly.
 
-    def _open(self, index: int) -> None:
-        """Take a heap's physics and renderer, which are kept for some heaps."""
-        self._index, kept = index, self._kept
+        Args:
+            snapshot: Of `snapshot`, and what an environment puts beside.
+            counts: Names of the numbers that it puts beside.
+
+        Returns:
+            Those numbers.
+
+        Raises:
+            MechSearchError: If it does not fit; nothing has changed then.
+        """
+        expected = "expected what snapshot() returned in an environment of this kind and heaps"
+        names = (*_SAVED, *counts)
+        given = snapshot if isinstance(snapshot, Mapping) else {}
+        missing = [name for name in names if name not in given]
+        if missing:
+            raise MechSearchError(f"a snapshot without {', '.join(missing)}; {expected}")
+        saved = {
+            name: real_array(given[name], f"a snapshot's {name}: {expected}") for name in names
+        }
+        index = int(saved["heap"]) if saved["heap"].shape == () else -1
+        if not 0 <= index < len(self.heaps):
+            raise MechSearchError(f"a snapshot of heap {shown(given['heap'])}; {expected}")
+        world, renderer = self._opened(index)
+        size = len(self.heaps[index].objects)
+        shapes = {"world": world.snapshot().shape, "poses": (size, 7), "present": (size,)}
+        for name, value in saved.items():
+            if value.shape != shapes.get(name, ()):
+                raise MechSearchError(
+                    f"a snapshot whose {name} has shape {value.shape}; {expected}"
+                )
+        self._index, self.world, self.renderer = index, world, renderer
+        world.restore(saved["world"])
+        self.poses, self.present = np.array(saved["poses"]), np.array(saved["present"])
+        self.occlusion = float(saved["occlusion"])
+        self.moved = np.zeros(size)
+        return [int(saved[name]) for name in counts]
+
+    def _opened(self, index: int) -> tuple[W, Renderer]:
+        """Return a heap's physics and renderer, which are kept for some heaps."""
+        kept = self._kept
         if index in kept:
             kept.move_to_end(index)
         else:
-            models = [self._objects.models[name] for name in self.heap.objects]
+            models = [self._objects.models[name] for name in self.heaps[index].objects]
             workspace = self._config.workspace
             renderer = Renderer(models, self._effector, workspace.table_half, workspace.floor)
             kept[index] = self._world_of(models), renderer
             if len(kept) > _WORLDS_KEPT:
                 kept.popitem(last=False)
-        self.world, self.renderer = kept[index]
+        return kept[index]
 
     def _sample_start(self, rng: np.random.Generator) -> Floats:
         """Return a contact-free position, uniform over the workspace, away from the target."""
@@ -321,18 +363,99 @@ class HeapScene(Generic[W]):
         return self._config.pusher.pose(self.world.pusher_position)
 
 
-def displacement(action: Array) -> Floats:
+class SceneEnv(gymnasium.Env[Any, Array], Generic[W]):
+    """What environments of all kinds share: a scene, which users look at but do not copy."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+    _scene: HeapScene[W]
+
+    def __init__(self, config: HeapEnvConfig, kind: type[HeapEnvConfig], mode: str | None) -> None:
+        """Take a task, which must be of a kind, and a render mode: "rgb_array" or None.
+
+        Raises:
+            MechSearchError: If they are anything else.
+        """
+        if not isinstance(config, kind):
+            raise MechSearchError(f"config is {shown(config)}; expected a {kind.__name__}")
+        if mode not in (None, "rgb_array"):
+            raise MechSearchError(f"unknown render_mode {mode!r}; choose 'rgb_array' or None")
+        self.render_mode = mode
+
+    @property
+    def heap(self) -> Heap:
+        """The heap of the current episode.
+
+        Raises:
+            MechSearchError: If none has begun.
+        """
+        return self._scene.heap
+
+    @property
+    def world(self) -> W:
+        """The physics of the current episode, for measurements; stepping it is cheating."""
+        _ = self.heap
+        return self._scene.world
+
+    @property
+    def state(self) -> HeapState:
+        """The true state; what is in a tray is said to lie beside the table."""
+        return self._scene.state
+
+    def render(self) -> Array | None:
+        """Return a colour picture (256, 256, 3) uint8, when made with render_mode="rgb_array"."""
+        if self.render_mode != "rgb_array":
+            return None
+        _ = self.heap
+        return self._scene.frame(256, colour=True).rgb
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise MechSearchError(
+            "an environment is neither copied nor pickled; make another with the same heaps, and "
+            "hand what snapshot() returns to its restore"
+        )
+
+
+def start_options(options: Any, heaps: int, also: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what the options of `HeapEnv.reset` mean: `heap`, None for any, and `fixed_start`.
+
+    Args:
+        options: As users give them; None for none.
+        heaps: How many there are.
+        also: Names of further options, which are returned as they are.
+
+    Raises:
+        MechSearchError: If they mean nothing.
+    """
+    known = ("heap", "fixed_start", *also)
+    if not isinstance(options, Mapping | None):
+        raise MechSearchError(
+            f"options are {shown(options)}; expected a mapping with any of {', '.join(known)}"
+        )
+    meant = {"heap": None, "fixed_start": False} | dict(options or {})
+    for name in meant:
+        if name not in known:
+            raise MechSearchError(f"unknown option {name!r}; choose among {', '.join(known)}")
+    heap, fixed = meant["heap"], meant["fixed_start"]
+    if not isinstance(fixed, bool | np.bool_):
+        raise MechSearchError(f"fixed_start is {shown(fixed)}; expected True or False")
+    if heap is not None:
+        if isinstance(heap, bool) or not isinstance(heap, Real) or heap % 1 != 0:
+            raise MechSearchError(
+                f"heap is {shown(heap)}; expected a whole number from 0 to {heaps - 1}"
+            )
+        meant["heap"] = index = int(cast("float", heap))
+        if not 0 <= index < heaps:
+            raise MechSearchError(f"heap {shown(heap)} does not exist; choose 0 to {heaps - 1}")
+    return meant
+
+
+def displacement(action: Any) -> Floats:
     """Return the commanded displacement (3,) [m] of an action, at most 5 cm long.
 
     Raises:
-        MechSearchError: If the action has another shape or is not finite.
+        MechSearchError: If the action is anything but three finite numbers.
     """
-    values = np.asarray(action, np.float64)
-    if values.shape != (3,):
-        raise MechSearchError(f"an action has shape (3,), in [-1, 1]; got shape {values.shape}")
-    numbers = values.tolist()
-    if not all(map(isfinite, numbers)):
-        raise MechSearchError(f"an action is three finite numbers in [-1, 1]; got {values}")
+    numbers = finite_numbers(action, (3,), _ACTION).tolist()
     return cap_length([min(max(n, -1.0), 1.0) * ACTION_LENGTH for n in numbers], ACTION_LENGTH)
 
 
@@ -350,6 +473,11 @@ def choose_heaps(
     Raises:
         MechSearchError: If a name is unknown, or heaps and objects do not fit.
     """
+    for name, text in (("condition", condition), ("objects", objects), ("split", split)):
+        if not isinstance(text, str | None):
+            raise MechSearchError(f"{name} is {shown(text)}; expected a text")
+    if not isinstance(heaps, str | PathLike | None):
+        raise MechSearchError(f"heaps are {shown(heaps)}; expected the file of a heap set")
     file = embedded_file(condition) if heaps is None else Path(heaps)
     heap_set, object_set = open_heaps(file, objects)
     return [heap_set.heaps[i] for i in heap_set.choose(split)], object_set, heap_set.camera

@@ -3,14 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
+from numbers import Real
 from operator import attrgetter
 from typing import Any, Self, TypeVar
 
 from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
-from mechsearch.files import record_from_json
+from mechsearch.files import check_kinds, record_from_json
 from mechsearch.sim import PhysicsConfig, Pusher, Workspace, gripper_named
-from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 
 _LEAST = {
     "max_actions": 1, "start_distance": 0, "uncovered_at": 0, "physics.action_steps": 1,
@@ -53,6 +54,7 @@ class TaskConfig:
     pusher: Pusher = field(default_factory=Pusher)
 
     def __post_init__(self) -> None:
+        check_kinds(self)
         preset(self.camera, self.image_size)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
         least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
@@ -119,8 +121,10 @@ class RetrievalReward:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not isfinite(value):
-                raise MechSearchError(f"retrieval.{name} is {value}; expected a finite number")
+            if not isinstance(value, Real) or not isfinite(value):
+                raise MechSearchError(
+                    f"retrieval.{name} is {shown(value)}; expected a finite number"
+                )
 
 
 @dataclass(frozen=True)
@@ -195,13 +199,24 @@ def task_from_json(kind: type[Task], data: Mapping[str, Any]) -> Task:
     return record_from_json(kind, data)
 
 
-def with_settings(task: Task, settings: Mapping[str, Any]) -> Task:
+def with_settings(
+    kind: type[Task], task: Task | None, camera: str, settings: Mapping[str, Any]
+) -> Task:
     """Return a task with some fields replaced.
 
+    Args:
+        kind: What it must be.
+        task: The task; None takes the default one through `camera`.
+        camera: View, where there is no task.
+        settings: Values by field.
+
     Raises:
-        MechSearchError: If there is no such field.
+        MechSearchError: If it is no such task, there is no such field, or a value is no good.
     """
-    known = [entry.name for entry in fields(task)]
+    task = kind(camera=camera) if task is None else task
+    if not isinstance(task, kind):
+        raise MechSearchError(f"config is {shown(task)}; expected a {kind.__name__}")
+    known = [entry.name for entry in fields(kind)]
     unknown = [key for key in settings if key not in known]
     if unknown:
         raise MechSearchError(f"unknown setting {unknown[0]!r}; choose among {', '.join(known)}")

@@ -24,6 +24,7 @@ from mechsearch.files.provenance import crossed, fingerprint, mixed
 from mechsearch.files.records import (
     CHECK_MARK,
     append_line,
+    check_kinds,
     differing_fields,
     line_of,
     read_content,

@@ -5,12 +5,14 @@ import json
 import lzma
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 from zlib import crc32
 
 from mechsearch.files.whole import naming, write_text
-from mechsearch.types import MechSearchError
+from mechsearch.types import MechSearchError, shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -236,8 +238,37 @@ def _value(kind: Any, name: str, value: Any, retired: Mapping[str, Any] | None) 
     if get_origin(kind) is tuple and isinstance(value, list):
         inner = get_args(kind)[0]
         return tuple(_value(inner, name, entry, retired) for entry in value)
-    expected = (int, float) if kind is float else (get_origin(kind) or kind)
-    # JSON's true is no number.
-    if isinstance(value, bool) != (kind is bool) or not isinstance(value, expected):
-        raise MechSearchError(f"{name} is {value!r}; expected {getattr(kind, '__name__', kind)}")
+    _check_kind(kind, name, value)
     return value
+
+
+def check_kinds(record: Any, prefix: str = "") -> None:
+    """Check that each field of a dataclass, and of those in it, has a value of its kind.
+
+    Raises:
+        MechSearchError: Naming the field, its value, and what was expected.
+    """
+    for name, kind in _kinds(cast("Any", type(record))).items():
+        value = getattr(record, name)
+        _check_kind(kind, prefix + name, value)
+        if is_dataclass(kind):
+            check_kinds(value, f"{prefix}{name}.")
+
+
+@lru_cache(maxsize=64)
+def _kinds(record: Any) -> dict[str, Any]:
+    hints = get_type_hints(record)
+    return {field.name: hints[field.name] for field in fields(record)}
+
+
+def _check_kind(kind: Any, name: str, value: Any) -> None:
+    expected: Any = {int: Integral, float: Real, tuple: (tuple, list)}.get(
+        get_origin(kind) or kind, get_origin(kind) or kind
+    )
+    # True is no number.
+    if isinstance(value, bool) != (kind is bool) or not isinstance(value, expected):
+        text = kind.__name__ if isinstance(kind, type) else str(kind)
+        raise MechSearchError(f"{name} is {shown(value)}; expected {text}")
+    if get_origin(kind) is tuple:
+        for entry in value:
+            _check_kind(get_args(kind)[0], name, entry)

@@ -47,12 +47,10 @@ class Quarantine:
         """Return the index of the heap that was asked for, or of one drawn as `HeapEnv.reset` does.
 
         Raises:
-            MechSearchError: If it does not exist or is quarantined, or all are.
+            MechSearchError: If it is quarantined, or all are.
         """
         count = len(self._seeds)
         if heap is not None:
-            if not 0 <= heap < count:
-                raise MechSearchError(f"heap {heap} does not exist; choose 0 to {count - 1}")
             if heap in self:
                 name = self._seeds[heap]
                 reason = f"{self.names[name]}, {STRIKES} times"

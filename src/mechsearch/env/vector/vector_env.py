@@ -1,20 +1,22 @@
 """Many environments at once, in worker processes that may fail (`gymnasium.make_vec`)."""
 
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mechsearch.env.heap_env import HeapEnv, make_env
+from mechsearch.env.heap_env import HeapEnv, make_env, start_options
 from mechsearch.env.vector.hosting import Act, Hosts, Look
 from mechsearch.env.vector.sub_env import Quarantine, SubEnv
 from mechsearch.processes import PROCESSORS, Failure
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, MechSearchError, finite_numbers, real_array, shown
 
 AUTORESET_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
@@ -63,12 +65,16 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         """
         self.closed = True
         mode = _mode(autoreset_mode)
-        if num_envs < 1 or (workers is not None and workers < 1) or time_limit <= 0:
-            raise MechSearchError(
-                f"num_envs is {num_envs}, workers {workers} and time_limit {time_limit}; expected "
-                "all of them above 0"
-            )
+        given = {"num_envs": num_envs, "workers": workers, "time_limit": time_limit}
+        for name, value in given.items():
+            kind = Real if name == "time_limit" else Integral
+            good = isinstance(value, kind) and not isinstance(value, bool) and value > 0
+            if not good and (name, value) != ("workers", None):
+                expected = "number" if kind is Real else "whole number"
+                raise MechSearchError(f"{name} is {shown(value)}; expected a {expected} above 0")
         env = make()
+        if not isinstance(env, HeapEnv):
+            raise MechSearchError(f"a {type(env).__name__} was made; expected a HeapEnv")
         self.heaps, self.num_envs = env.heaps, num_envs
         self.metadata = {**env.metadata, "autoreset_mode": mode}
         self.render_mode = env.render_mode
@@ -78,6 +84,8 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         self.action_space = batch_space(env.action_space, num_envs)
         workers = min(num_envs, workers or PROCESSORS)
         self._hosts = Hosts(make, env.observation_space, num_envs, workers, time_limit)
+        # Also when the interpreter ends, while processes can still be ended.
+        self._end = weakref.finalize(self, self._hosts.close)
         self.closed = False
         shared = self._hosts.observations
         self._kept = {key: np.zeros_like(rows) for key, rows in shared.items()}
@@ -113,10 +121,10 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
             options: Of `HeapEnv.reset`, and `reset_mask` (num_envs,) bool.
 
         Raises:
-            MechSearchError: If no episode can begin.
+            MechSearchError: If an option or a seed is no good, or no episode can begin.
         """
         self._check_idle("reset")
-        passed = dict(options or {})
+        passed = start_options(options, len(self.heaps), ("reset_mask",))
         mask = _mask(passed.pop("reset_mask", None), self.num_envs)
         seeds = _seeds(seed, self.num_envs)
         envs = [int(i) for i in np.flatnonzero(mask)]
@@ -160,6 +168,8 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
         """
         self._check_open()
         envs = [int(i) for i in envs]
+        if not set(envs) <= set(range(self.num_envs)):
+            raise MechSearchError(f"environments {envs}; choose among 0 to {self.num_envs - 1}")
         if set(envs) & set(self._turn) or len(set(envs)) < len(envs):
             raise AlreadyPendingCallError(f"of {envs}, some are sent and not received", "step")
         actions = _checked(actions, len(envs))
@@ -230,10 +240,12 @@ class VectorHeapEnv(VectorEnv[dict[str, Array], Array, Array]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """End all worker processes, whatever they do."""
-        self._hosts.close()
+        self._end()
 
-    def __del__(self) -> None:
-        self.close()
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise MechSearchError(
+            "a vector environment holds processes, and is neither copied nor pickled; make another"
+        )
 
     def _await(self, envs: Sequence[int]) -> MechSearchError | None:
         """Wait until the outcomes of some environments are complete.
@@ -307,28 +319,33 @@ def _mask(mask: Any, num_envs: int) -> Array:
     if mask is None:
         return np.ones(num_envs, np.bool_)
     if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-        raise MechSearchError(f"reset_mask is {mask!r}; expected an array of booleans")
+        raise MechSearchError(f"reset_mask is {shown(mask)}; expected an array of booleans")
     if mask.shape != (num_envs,) or not mask.any():
-        raise MechSearchError(f"reset_mask is {mask}; expected {num_envs} values, one of them true")
+        raise MechSearchError(
+            f"reset_mask is {shown(mask)}; expected {num_envs} values, one of them true"
+        )
     return mask
 
 
 def _seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
-    if seed is None:
-        return [None] * num_envs
-    seeds = [seed + i for i in range(num_envs)] if isinstance(seed, int | np.integer) else seed
-    if len(seeds) != num_envs:
-        raise MechSearchError(f"{len(seeds)} seeds given; expected one, or {num_envs}")
-    return [None if one is None else int(one) for one in seeds]
+    given: Any = [None] * num_envs if seed is None else seed
+    if isinstance(given, Integral):
+        given = [given + i for i in range(num_envs)]
+    if not isinstance(given, Sequence | np.ndarray) or not all(
+        one is None or (isinstance(one, Integral) and cast("int", one) >= 0) for one in given
+    ):
+        raise MechSearchError(
+            f"seed is {shown(seed)}; expected a whole number, not below 0, or {num_envs} of them"
+        )
+    if len(given) != num_envs:
+        raise MechSearchError(f"{len(given)} seeds given; expected one, or {num_envs}")
+    return [None if one is None else int(one) for one in given]
 
 
 def _checked(actions: Any, count: int) -> Array:
-    values = np.asarray(actions, np.float32)
-    if values.shape != (count, 3) or not np.isfinite(values).all():
-        raise MechSearchError(
-            f"actions of {count} environments are finite, of shape ({count}, 3) and in [-1, 1]; "
-            f"got shape {values.shape}: {values}"
-        )
+    expected = f"actions of {count} environments are finite, of shape ({count}, 3), in [-1, 1]"
+    values = np.asarray(real_array(actions, expected), np.float32)
+    finite_numbers(values, (count, 3), expected)
     return values
 
 
