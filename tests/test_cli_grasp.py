@@ -111,7 +111,7 @@ def test_bad_input_is_named(
     assert "name either --heaps, or --depth" in failure(score, capsys)
     assert "the mask too" in failure(own, capsys)
     mask = ["--mask", str(image / "mask.png")]
-    assert "divide millimetres" in failure([*own, *mask, "--depth-scale", "1000"], capsys)
+    assert "is it in millimetres" in failure([*own, *mask, "--depth-scale", "1000"], capsys)
     sets = [*score, "--heaps", str(heaps)]
     assert "50 to 60 mm" in failure([*sets, "--opening", "0.085"], capsys)
     assert "choose one of held-out, train, all" in failure([*sets, "--split", "half"], capsys)

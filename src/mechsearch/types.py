@@ -167,9 +167,10 @@ def select(obs: Observation, keys: tuple[str, ...]) -> dict[str, Array]:
     """
     missing = [key for key in keys if key not in obs]
     if missing:
+        hint = ". Privileged keys need an environment made with privileged=True"
         raise MechSearchError(
             f"the observation lacks {', '.join(missing)}; expected {', '.join(keys)}, and it has "
-            f"{', '.join(sorted(obs)) or 'none'}. Privileged keys need an environment made with "
-            "privileged=True."
+            f"{', '.join(sorted(map(str, obs))) or 'none'}"
+            f"{hint if {*missing} & {*PRIVILEGED_KEYS} else ''}"
         )
     return {key: obs[key] for key in keys}

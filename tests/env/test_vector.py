@@ -1,9 +1,12 @@
 """Vector environments: Gymnasium's own as the yardstick, and workers that die, hang and raise."""
 
+import copy
 import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -18,6 +21,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
+from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.vector.vector_env import VectorHeapEnv
 from mechsearch.types import MechSearchError
 
@@ -246,22 +250,39 @@ def test_when_every_heap_is_quarantined_the_reason_is_named(covered, boxes, trou
 def test_misuse_is_refused_before_anything_happens(make):
     with pytest.raises(MechSearchError, match="'NextStep'; choose one of SameStep, Disabled"):
         VectorHeapEnv(make, 2, autoreset_mode=AutoresetMode.NEXT_STEP)
-    with pytest.raises(MechSearchError, match="num_envs is 0"):
-        VectorHeapEnv(make, 0)
+    for wrong in ({"num_envs": 0}, {"num_envs": 2.5}, {"workers": "2"}, {"time_limit": np.nan}):
+        with pytest.raises(MechSearchError, match=f"{next(iter(wrong))} is .*above 0"):
+            VectorHeapEnv(make, **wrong)
+    with pytest.raises(MechSearchError, match="a RetrieveEnv was made; expected a HeapEnv"):
+        VectorHeapEnv(partial(RetrieveEnv, *make.args[:2]))
     envs = VectorHeapEnv(make, 2, 1, autoreset_mode="Disabled")
     with pytest.raises(MechSearchError, match=r"\[0, 1\] are over"):
         envs.step(np.zeros((2, 3)))
     envs.reset(seed=[1, None])
-    for wrong in (np.zeros((1, 3)), np.full((2, 3), np.nan)):
+    ragged, huge = [[0, 0, 0], [0, 0]], np.full((2, 3), 1e300)
+    for wrong in (np.zeros((1, 3)), np.full((2, 3), np.nan), ragged, huge, None, "up"):
         with pytest.raises(MechSearchError, match=r"shape \(2, 3\)"):
             envs.step(wrong)
+    for wrong in (2, -1):
+        with pytest.raises(MechSearchError, match="choose among 0 to 1"):
+            envs.send(np.zeros((1, 3)), [wrong])
+    for wrong in ("3", 1.5, [1, 2.5], -1):
+        with pytest.raises(MechSearchError, match=r"seed is .*expected a whole number"):
+            envs.reset(seed=wrong)
     with pytest.raises(MechSearchError, match="3 seeds"):
         envs.reset(seed=[1, 2, 3])
     for mask in ([True, False], np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
         with pytest.raises(MechSearchError, match="reset_mask"):
             envs.reset(options={"reset_mask": mask})
-    with pytest.raises(MechSearchError, match="heap 9"):
-        envs.reset(options={"heap": 9})
+    for options in ({"heap": 9}, {"heap": "3"}, {"heap": True}):
+        with pytest.raises(MechSearchError, match=r"heap (is )?\S+(;| does not exist)"):
+            envs.reset(options=options)
+    with pytest.raises(
+        MechSearchError, match="'reset_maks'; choose among heap, fixed_start, reset"
+    ):
+        envs.reset(options={"reset_maks": np.ones(2, bool)})
+    with pytest.raises(MechSearchError, match="neither copied nor pickled"):
+        copy.deepcopy(envs)
     with pytest.raises(MechSearchError, match="would change"):
         envs.call("restore", {})
     with pytest.raises(AttributeError, match="colour"):
@@ -278,6 +299,23 @@ def test_misuse_is_refused_before_anything_happens(make):
     with pytest.raises(ClosedEnvironmentError):
         envs.reset()
     assert not multiprocessing.active_children()
+
+
+UNCLOSED = """
+import mechsearch
+
+if __name__ == "__main__":
+    envs = mechsearch.make_vector_env(num_envs=2, workers=2, keys=("ee_position",))
+    envs.reset(seed=0, options={"heap": 2.0})
+"""
+
+
+def test_one_that_is_never_closed_ends_silently_with_the_interpreter(tmp_path):
+    (tmp_path / "script.py").write_text(UNCLOSED)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("name", ["mechsearch/SingleHeap-v0", "mechsearch/DualHeap-v0"])

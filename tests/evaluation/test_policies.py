@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mechsearch
 from mechsearch.evaluation import policies
 from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy, config_of_run, make_policy
+from mechsearch.observe.observation import KINDS, without_holes
 from mechsearch.types import MechSearchError, Policy
 
 
@@ -56,6 +58,43 @@ def test_idle_stays() -> None:
     policy = IdlePolicy()
     policy.reset(np.random.default_rng(0))
     np.testing.assert_array_equal(policy.act({}), np.zeros(3, np.float32))
+
+
+BAD = {
+    "teacher-straight": ("target_offset", np.full(3, np.nan), "target_offset holds nan in 3 of 3"),
+    "grasp-only": ("grasp_depth", np.full((512, 512), 800.0), "grasp_depth is 800 in the median"),
+    "single": ("position_image", np.full((3, 64, 64), np.nan), "position_image holds nan"),
+}
+
+
+@pytest.mark.parametrize("spec", BAD)
+def test_a_policy_made_by_name_refuses_what_it_cannot_read(spec: str) -> None:
+    if not spec.startswith("teacher"):
+        pytest.importorskip("torch")
+    policy = make_policy(spec)
+    policy.reset(np.random.default_rng(0))
+    sides = {"H": 64, "W": 64, "N": 2, "G": 512}
+    spaces = {key: KINDS[key].space(**sides) for key in policy.keys}
+    good = {key: np.full(space.shape, 0.1).astype(space.dtype) for key, space in spaces.items()}
+    if spec != "grasp-only":
+        assert np.isfinite(policy.act(good)).all()
+    key, value, message = BAD[spec]
+    with pytest.raises(MechSearchError, match=message):
+        policy.act({**good, key: value})
+    with pytest.raises(MechSearchError, match=f"the observation lacks {key}"):
+        policy.act({name: good[name] for name in good if name != key})
+
+
+def test_a_trained_policy_acts_on_depth_with_holes_as_on_what_fills_them() -> None:
+    pytest.importorskip("torch")
+    obs, _ = mechsearch.make_env().reset(seed=0, options={"heap": 0, "fixed_start": True})
+    holed = obs["depth"].copy()
+    holed[0, 5:9, 30:40], holed[0, 40, 7] = np.nan, 0
+    policy, actions = make_policy("single"), []
+    for depth in (holed, without_holes(holed)):
+        policy.reset(np.random.default_rng(0))
+        actions.append(policy.act({**obs, "depth": depth}))
+    np.testing.assert_array_equal(*actions)
 
 
 def test_a_users_own_factory_or_class_is_found(user_module: str) -> None:

@@ -11,12 +11,12 @@ import pytest
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig, TaskConfig
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, run
+from mechsearch.evaluation.policies import IdlePolicy, RandomPolicy, make_policy
+from mechsearch.evaluation.rollout import EvaluationPlan, evaluate, evaluate_plan, run
 from mechsearch.heaps import dataset
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.catalog import load_object_set
-from mechsearch.sim.scene import PhysicsConfig
+from mechsearch.sim.scene import PhysicsConfig, Workspace
 from mechsearch.types import MechSearchError
 
 NAMES = ("golf_ball", "sponge", "apple")
@@ -113,13 +113,51 @@ def test_what_was_done_and_what_came_of_it_is_recorded(env: HeapEnv) -> None:
     assert (record.policy, record.action_limit, record.target) == ("random", 6, 1)
 
 
-def test_a_policy_that_gives_nonsense_is_stopped(env: HeapEnv) -> None:
-    class Broken(IdlePolicy):
-        def act(self, obs):
-            return np.full(3, np.nan, np.float32)
+class Faulty(IdlePolicy):
+    """Goes wrong in one of its methods, as users' policies do."""
 
-    with pytest.raises(MechSearchError, match="finite"):
-        run(Broken(), env, [0])
+    def __init__(self, method: str, gives: object) -> None:
+        self._method, self._gives = method, gives
+
+    def _at(self, method: str) -> object:
+        if method == self._method and isinstance(self._gives, Exception):
+            raise self._gives
+        return self._gives
+
+    def reset(self, rng: np.random.Generator) -> None:
+        self._at("reset")
+
+    def act(self, obs):
+        return self._at("act")
+
+
+@pytest.mark.parametrize("method", ["reset", "act"])
+def test_what_a_users_policy_raises_is_named_with_the_policy_and_kept_as_the_cause(
+    heap_file: Path, method: str
+) -> None:
+    error = ValueError("no such\nthing")
+    with pytest.raises(MechSearchError) as found:
+        evaluate(Faulty(method, error), heap_file, limit=1)
+    assert str(found.value) == "policy Faulty raised ValueError: no such thing"
+    assert found.value.__cause__ is error
+    assert error.__traceback__ is not None
+
+
+@pytest.mark.parametrize("action", [None, "up", np.zeros(2)])
+def test_an_action_that_is_none_is_named_with_its_policy(heap_file: Path, action: object) -> None:
+    with pytest.raises(MechSearchError, match=r"policy Faulty: an action is \(3,\).*got"):
+        evaluate(Faulty("act", action), heap_file, limit=1)
+
+
+def test_a_policy_made_for_a_robot_is_asked_itself(heap_file: Path) -> None:
+    """Otherwise a task with another workspace would be refused, and every action checked."""
+    task = TaskConfig(max_actions=3, workspace=Workspace(half=0.39))
+    made, named = (
+        evaluate(policy, heap_file, limit=2, task=task)
+        for policy in (make_policy("teacher-spiral"), "teacher-spiral")
+    )
+    assert made.header["policy"] == "PushTeacher"
+    assert all(map(same, made.episodes, named.episodes))
 
 
 def test_after_a_failed_simulation_the_last_trusted_state_is_recorded(

@@ -44,7 +44,7 @@ def test_files_that_do_not_fit_are_refused_in_words(files, bumpy):
         with pytest.raises(MechSearchError, match=text):
             read_view(*arguments)
 
-    refused("divide millimetres by 1000", files / "depth_mm.png", mask, camera)
+    refused("is it in millimetres", files / "depth_mm.png", mask, camera)
     refused("name a file for the mask too", depth, None, camera)
     refused("name a file for the intrinsics too", depth, mask, None)
     refused("no depth image at", files / "absent.npy", mask, camera)

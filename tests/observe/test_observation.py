@@ -27,15 +27,6 @@ def test_a_position_image_added_to_the_effector_lies_on_the_object(boxes, view):
     np.testing.assert_allclose(on_surface, 0.03, atol=1e-3)
 
 
-def test_pixels_without_depth_are_left_out():
-    camera = preset("overhead", 8)
-    mask, depth = np.ones((8, 8), bool), np.ones((8, 8))
-    depth[2, 3] = 0
-    image = position_image(mask, depth, camera, np.array([0, 0, 0.5]))
-    assert (image[:, 2, 3] == 0).all()
-    assert (image[2, depth > 0] != 0).all()
-
-
 def test_the_colour_ablation_shows_colour_and_a_label_instead_of_positions(covered, boxes):
     env = HeapEnv([covered], boxes, HeapEnvConfig(keys=RGB_ACTOR_KEYS))
     obs, _ = env.reset(options=FIXED)

@@ -14,7 +14,7 @@ from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import grasp_camera, see_heap
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.observe.observation import KEYS
+from mechsearch.observe.observation import KEYS, KINDS
 from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
 from mechsearch.types import (
     BUDGET_KEYS,
@@ -216,15 +216,9 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
 
     def _spaces(self) -> dict[str, gymnasium.Space[Any]]:
         """Return the space of each key, in their order."""
-        camera, config = grasp_camera(), self.config
-        size, most = (camera.height, camera.width), np.iinfo(np.int64).max
-        spaces = dict(self._scene.observer.space.spaces) | {
-            "grasp_depth": gymnasium.spaces.Box(0.0, 10.0, size, np.float32),
-            "segments": gymnasium.spaces.Box(0, 255, size, np.uint8),
-            **{key: gymnasium.spaces.Box(0, most, (1,), np.int64) for key in BUDGET_KEYS},
-            OCCLUSION_KEY: gymnasium.spaces.Box(0.0, 1.0, (1,), np.float64),
-        }
-        return {key: spaces[key] for key in config.all_keys}
+        seen, side = self._scene.observer.space.spaces, grasp_camera().height
+        keys = self.config.all_keys
+        return {key: seen[key] if key in seen else KINDS[key].space(G=side) for key in keys}
 
     def _observe(self) -> dict[str, Array]:
         scene, keys = self._scene, self.config.all_keys

@@ -125,7 +125,6 @@ class HeapScene(Generic[W]):
             preset(config.camera, config.image_size),
             config.max_clutter or largest,
             len(self._labels),
-            reach=2.0,
         )
         # Occlusion is measured from the standard view, whatever the policy's image size.
         self.camera = preset(config.camera)

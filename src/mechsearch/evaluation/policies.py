@@ -21,9 +21,17 @@ from mechsearch.env import (
     task_from_json,
 )
 from mechsearch.files import CONFIG_FILE, POLICY_FILE, read_content, read_json, read_record
+from mechsearch.observe.observation import readable
 from mechsearch.pushes.push import spiral, straight, zigzag
 from mechsearch.teachers import TEACHERS, PushTeacher, make_teacher
-from mechsearch.types import IMAGE_KEYS, MechSearchError, Observation, Policy, check_extra
+from mechsearch.types import (
+    IMAGE_KEYS,
+    Array,
+    MechSearchError,
+    Observation,
+    Policy,
+    check_extra,
+)
 
 TRAINED_LOADER = "mechsearch.training.run_directory:load_policy"
 """Function that turns a run directory or an actor's file into a policy; needs the `learn` extra."""
@@ -161,6 +169,43 @@ class LookAheadPolicy:
         return self._actions.pop() if self._actions else np.zeros(3, np.float32)
 
 
+class ObservationWrapper:
+    """A policy in the hands of a user: what it is handed is read and checked first.
+
+    Attributes:
+        policy: What acts. An evaluation asks it itself: what environments show can be read.
+        keys: Observation keys that it reads.
+        goal: What it is after; see `goal_of`.
+        camera: View of its images, where it is bound to one.
+        image_size: Their side [px], likewise.
+    """
+
+    def __init__(self, policy: Policy, run: Mapping[str, Any]) -> None:
+        """Take a policy, and the configuration of the run that it comes from; empty for others."""
+        self.policy, self.keys, self.goal = policy, policy.keys, goal_of(policy)
+        view = _view_of(policy, run)
+        self.camera, self.image_size = view.get("camera"), view.get("image_size")
+        self._workspace = task_of(policy, run, TaskConfig.camera).workspace
+
+    def equip(self, grippers: tuple[str, ...]) -> None:
+        """Take the names of the robot's grippers, if it retrieves."""
+        if hasattr(self.policy, "equip"):
+            self.policy.equip(grippers)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self.policy.reset(rng)
+
+    def act(self, obs: Observation) -> Array:
+        """Return the policy's action (3,), or decision (9,).
+
+        Raises:
+            MechSearchError: If the observation is not as `observe.observation.readable` expects.
+        """
+        seen = readable(obs, self.keys, self.image_size, self._workspace.clip)
+        return self.policy.act(seen)
+
+
 _MADE: dict[str, Callable[[], Policy]] = {
     "random": RandomPolicy, "idle": IdlePolicy, LOOK_AHEAD: LookAheadPolicy,
 }  # fmt: skip
@@ -172,7 +217,10 @@ def policy_names() -> tuple[str, ...]:
 
 
 def make_policy(spec: str | Path) -> Policy:
-    """Return the policy that a text names.
+    """Return the policy that a text names, for a robot or an environment.
+
+    Those that are trained, teachers, and those that grasp are handed nothing that they cannot read:
+    see `ObservationWrapper`.
 
     Args:
         spec: "random", "idle", "look-ahead", or "teacher-" and a name in `teachers.TEACHERS`;
@@ -185,6 +233,15 @@ def make_policy(spec: str | Path) -> Policy:
         MechSearchError: If there is no such policy, or it cannot be made.
     """
     spec = str(spec)
+    policy, own = policy_named(spec), is_entry_point(spec) and not _is_file_of_run(spec)
+    # Some are the user's own, some read nothing, and some plan in the simulator.
+    if own or spec in _MADE or hasattr(policy, "plan"):
+        return policy
+    return ObservationWrapper(policy, config_of_run(spec))
+
+
+def policy_named(spec: str) -> Policy:
+    """Return the policy that a text names, as it is; see `make_policy`."""
     if spec in _MADE:
         return _MADE[spec]()
     if spec.startswith("teacher-") and spec.removeprefix("teacher-") in TEACHERS:

@@ -30,13 +30,14 @@ from mechsearch.evaluation.episodes import (
 from mechsearch.evaluation.policies import (
     RETRIEVE,
     SHIPPED_POLICIES,
+    ObservationWrapper,
     actor_of,
     card,
     check_view,
     checked_policy,
     config_of_run,
     goal_of,
-    make_policy,
+    policy_named,
     task_of,
 )
 from mechsearch.files import differing_fields, fingerprint
@@ -91,7 +92,7 @@ class EvaluationPlan:
     """One policy on the heaps of one file; all that a worker process needs to know.
 
     Attributes:
-        policy: Text for `make_policy`, or a policy, which must pickle to get to a worker process.
+        policy: Text for `policy_named`, or a policy, which must pickle to get to a worker process.
         heaps: File of the heap set; None takes the embedded heaps of household objects, single
             ones but for the policy "dual".
         name: Under which the policy is reported; empty takes the name of the run that it comes
@@ -117,6 +118,8 @@ class EvaluationPlan:
     grippers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if isinstance(self.policy, ObservationWrapper):
+            object.__setattr__(self, "policy", self.policy.policy)
         if self.limit < 0 or self.seed < 0:
             raise MechSearchError(
                 f"limit is {self.limit} and seed {self.seed}; expected neither below 0"
@@ -172,13 +175,16 @@ def run_episode(
     """Return one episode from the heap's own start; see `run`."""
     heap = env.heaps[index]
     obs, _ = env.reset(options={"heap": index, "fixed_start": True})
-    policy.reset(np.random.default_rng([seed, heap.seed]))
+    _ask(name, policy.reset, np.random.default_rng([seed, heap.seed]))
     if isinstance(policy, Planner):
-        policy.plan(env)
+        _ask(name, policy.plan, env)
     states, actions, infos = [env.state], [], [{"end": None}]
     while infos[-1]["end"] is None:
-        action = _act(policy, obs, name)
-        obs, _, _, _, info = env.step(action)
+        action = _ask(name, policy.act, select(obs, policy.keys))
+        try:
+            obs, _, _, _, info = env.step(action)
+        except MechSearchError as error:
+            raise MechSearchError(f"at an action of policy {name}: {error}") from error
         actions.append(np.asarray(action, env.action_space.dtype))
         infos.append(info)
         # After a failure only the state before it can be trusted.
@@ -212,15 +218,15 @@ def _retrieval(infos: Sequence[Mapping[str, Any]]) -> RetrievalRecord:
     return RetrievalRecord(outcomes, tuple(tuple(info["held"]) for info in infos))
 
 
-def _act(policy: Policy, obs: Observation, name: str) -> Array:
-    """Return the policy's action; what it raises is its own fault and not the heap's."""
-    seen = select(obs, policy.keys)
+def _ask(name: str, method: Callable[..., Any], *args: Any) -> Any:
+    """Return a policy's answer; what it raises is its own fault and not the heap's."""
     try:
-        return policy.act(seen)
+        return method(*args)
     except MechSearchError:
         raise
     except Exception as error:
-        raise MechSearchError(f"policy {name} raised {type(error).__name__}: {error}") from error
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        raise MechSearchError(f"policy {name} raised {text}") from error
 
 
 def evaluate(
@@ -397,7 +403,7 @@ class _Rollouts:
     @cached_property
     def policy(self) -> Policy:
         policy, text = self.plan.policy, self.plan.policy_text
-        return make_policy(policy) if isinstance(policy, str) else checked_policy(policy, text)
+        return policy_named(policy) if isinstance(policy, str) else checked_policy(policy, text)
 
     @cached_property
     def opened(self) -> tuple[HeapSet, ObjectSet]:

@@ -11,6 +11,7 @@ from mechsearch.camera import Camera
 from mechsearch.grasp.camera_files import camera_of, read_camera
 from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView, surroundings
 from mechsearch.grasp.image_files import Stored, depth_in_metres, read_stored, target_pixels
+from mechsearch.observe.observation import without_holes
 from mechsearch.types import Array, MechSearchError
 
 _WIDTH_PX = (23.0, 34.5, 46.0)
@@ -20,8 +21,8 @@ were found steady; the middle one is that 0.8 m below the metric camera."""
 _LEAST_WIDTH_PX = 11.5
 """Below this there is too little to resize."""
 
-_DEPTHS = (0.05, 20.0)
-"""Of what a camera shows [m]; other numbers are no metres."""
+_NEAREST = 0.05
+"""Least median of what a camera shows [m]; smaller numbers are no metres."""
 
 _AROUND = 0.2
 """How far from the target the table is looked for [m]."""
@@ -71,7 +72,7 @@ def view_of_image(
 ) -> GraspView:
     """Return a user's depth image, checked, filled, and resized where the networks need it.
 
-    Holes (0 or not finite) take the median of the other pixels, and are no part of the target. The
+    Holes are filled as `observe.observation.without_holes` does, and are no part of the target. The
     table is that around the target. What seems to be beyond it, or much nearer than the target,
     takes the depth of the nearest other pixel, with a warning. The view's camera tells whether the
     image was resized; a grasp's `pose` is in the same world as before.
@@ -83,7 +84,7 @@ def view_of_image(
         label: The target's value in a mask of several.
 
     Raises:
-        MechSearchError: If sizes differ, depths are no metres, most of the image is holes, no pixel
+        MechSearchError: If sizes differ, depths are no metres, half of the image is holes, no pixel
             of the target is visible, or the target is too far for the networks.
     """
     metres, inside = depth_in_metres(depth), target_pixels(mask, label)
@@ -95,15 +96,10 @@ def view_of_image(
             f"{(camera.height, camera.width)}"
         )
     seen = np.isfinite(metres) & (metres > 0)
-    holes = 1 - seen.mean()
-    if holes > 0.75:
+    metres = np.asarray(without_holes(metres, "the depth image"), np.float32)
+    if (middle := float(np.median(metres))) < _NEAREST:
         raise MechSearchError(
-            f"{holes:.0%} of the depth image are holes (0 or not finite); expected less than 75%"
-        )
-    middle = float(np.median(metres[seen]))
-    if not _DEPTHS[0] <= middle <= _DEPTHS[1]:
-        raise MechSearchError(
-            f"the median depth is {middle:.3g}; expected metres, so divide millimetres by 1000"
+            f"the median depth is {middle:.3g}; expected metres, at least {_NEAREST}"
         )
     inside = inside & seen
     _check_visible(inside)
@@ -119,8 +115,7 @@ def view_of_image(
         _check_visible(inside)
     far = _table(metres, inside, seen, camera)
     metres = _believed(metres, inside, seen, far)
-    filled = np.where(seen, metres, np.float32(np.median(metres[seen]))).astype(np.float32)
-    return GraspView(filled, inside, camera, far)
+    return GraspView(metres, inside, camera, far)
 
 
 def _check_visible(inside: Array) -> None:
@@ -181,10 +176,11 @@ def _believed(
         f"pixels not believed: {', and '.join(said)}; they take the depth of the nearest other one",
         stacklevel=3,
     )
+    # Holes may have been filled from such pixels.
     nearest = distance_transform_edt(
         deep | close | ~seen, return_distances=False, return_indices=True
     )
-    return np.where(deep | close, metres[tuple(nearest)], metres)
+    return metres[tuple(nearest)]
 
 
 def _whole(stored: Stored | dict[str, Array], what: str, path: Path) -> dict[str, Array]:

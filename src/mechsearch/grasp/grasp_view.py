@@ -279,7 +279,16 @@ def segment_view(depth: NDArray[np.float32], segments: Array, number: int = 1) -
         depth: Of the fixed camera (512, 512) [m].
         segments: As in a `GraspScene` (512, 512).
         number: Of the segment that is to be grasped; 1 is the target.
+
+    Raises:
+        MechSearchError: If an image has another size than the fixed camera's.
     """
+    shape = (_FIXED_SIZE, _FIXED_SIZE)
+    if depth.shape != shape or segments.shape != shape:
+        raise MechSearchError(
+            f"grasp_depth is {depth.shape} and segments {segments.shape}; expected {shape}, as the "
+            "fixed camera sees them"
+        )
     return GraspView(depth, np.asarray(segments == number), grasp_camera(), METRIC_HEIGHT)
 
 

@@ -22,7 +22,7 @@ from mechsearch.env import (
     pushing,
     roll_out,
 )
-from mechsearch.evaluation.policies import RETRIEVE, make_policy
+from mechsearch.evaluation.policies import RETRIEVE, policy_named
 from mechsearch.grasp.grasp_view import GraspView, surroundings
 from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.pushes.push import PlannedPush, draw_pushes, look
@@ -92,7 +92,7 @@ class UncoverThenGrasp(GraspOnly):
     ) -> None:
         """Take who pushes, as for `make_policy`, and from which occlusion on it need not."""
         super().__init__()
-        self._pusher, self._uncovered_at = make_policy(pusher), uncovered_at
+        self._pusher, self._uncovered_at = policy_named(pusher), uncovered_at
         # Who pushes sees through one camera alone.
         self.camera = getattr(self._pusher, "camera", None)
         self.image_size = getattr(self._pusher, "image_size", None)

@@ -344,7 +344,8 @@ def _seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int |
 
 def _checked(actions: Any, count: int) -> Array:
     expected = f"actions of {count} environments are finite, of shape ({count}, 3), in [-1, 1]"
-    values = np.asarray(real_array(actions, expected), np.float32)
+    with np.errstate(over="ignore"):
+        values = np.asarray(real_array(actions, expected), np.float32)
     finite_numbers(values, (count, 3), expected)
     return values
 
