@@ -180,7 +180,7 @@ def _believed(
     nearest = distance_transform_edt(
         deep | close | ~seen, return_distances=False, return_indices=True
     )
-    return metres[tuple(nearest)]
+    return np.asarray(metres[tuple(nearest)])
 
 
 def _whole(stored: Stored | dict[str, Array], what: str, path: Path) -> dict[str, Array]:

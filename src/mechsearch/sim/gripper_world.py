@@ -441,8 +441,8 @@ class _CupRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, cup)
         self.gripper = cup
-        slow = {"frequency": self.config.frequency / 2, "lifting": 2 * self.config.lifting}
-        self.config = replace(self.config, **slow)
+        fast = self.config
+        self.config = replace(fast, frequency=fast.frequency / 2, lifting=2 * fast.lifting)
         model = self._model
         self._lip = model.body(f"lip{index}").id
         self._lip_geom = model.geom(f"lip{index}").id
