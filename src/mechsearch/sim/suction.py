@@ -74,7 +74,7 @@ def holds(cup: SuctionCup, load: Floats) -> bool:
         cup: Its force and size.
         load: Force [N] and torque [N m] (6,) that the object puts on the lip, z along the cup.
     """
-    left = cup.force - max(-float(load[2]), 0.0)
+    left = cup.force + float(load[2])
     bending, twisting = np.hypot(load[3], load[4]), abs(load[5])
     return bool(
         left > 0
