@@ -147,8 +147,8 @@ class SuctionCup:
     by at most `tilt`. It holds as long as the lip is pressed on everywhere: of the vacuum's force
     F and a load's pull P (negative where it pushes), what is left, F - P, presses the lip on. A
     bending moment of (F - P) radius moves that pressure to the lip's edge and opens the other side;
-    friction holds shear and twist. Vacuum is for gentle motion (makers ask for a safety factor of two), so it is
-    lifted in twice the time of jaws, and shaken at half their frequency.
+    friction holds shear and twist. Vacuum is for gentle motion (makers ask for a safety factor of
+    two), so it is lifted in twice the time of jaws, and shaken at half their frequency.
 
     Attributes:
         radius: Of the lip [m].
