@@ -17,7 +17,10 @@ from mechsearch.files import (
     read_record,
     write_record,
 )
-from mechsearch.heaps.dataset import HeapSet, open_heaps
+from mechsearch.heaps import (
+    HeapSet,
+    open_heaps,
+)
 from mechsearch.processes import Progress, silent
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import run_config

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import read_arrays, read_record, write_record, write_whole
-from mechsearch.heaps.dataset import Heap
+from mechsearch.heaps import (
+    Heap,
+)
 from mechsearch.processes import Progress, map_in_order
 from mechsearch.types import Array, MechSearchError, Outcome
 
