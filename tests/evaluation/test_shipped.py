@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mechsearch.env.heap_env import make_env
+from mechsearch.env.retrieve_env import make_retrieve_env
 from mechsearch.evaluation.policies import (
     SHIPPED_POLICIES,
     card,
@@ -25,9 +26,9 @@ needs_torch = pytest.mark.skipif(
 def test_a_card_is_that_of_the_weights_beside_it(name):
     told = card(name)
     assert told["sha256"] == hashlib.sha256(shipped_file(name).read_bytes()).hexdigest()
-    assert told["trained_on"]["condition"] == name
-    assert told["scored_on"]["split"] == "held-out"
-    mean, low, high = told["scores"]["reward"]
+    assert told["trained_on"]["condition"] == ("dual" if "dual" in name else "single")
+    assert told["scored_on"]["split"] == "held-out" and told["scored_on"]["heaps"] == 300
+    mean, low, high = told["scores"]["retrieved_within_5" if "retrieve" in name else "reward"]
     assert low < mean < high
     assert shipped_file(name).stat().st_size < 2.5e6
 
@@ -35,14 +36,15 @@ def test_a_card_is_that_of_the_weights_beside_it(name):
 @needs_torch
 @pytest.mark.parametrize("name", SHIPPED_POLICIES)
 def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
-    policy, heaps = make_policy(name), embedded_heaps(name)
-    held_out = [i for i, heap in enumerate(heaps.heaps) if heap.held_out]
-    env = make_env(name, split="all")
-    record = run_episode(policy, env, held_out[0], name=name)
+    policy, condition = make_policy(name), card(name)["trained_on"]["condition"]
+    heaps = embedded_heaps(condition).heaps
+    held_out = next(i for i, heap in enumerate(heaps) if heap.held_out)
+    made = make_retrieve_env if "retrieve" in name else make_env
+    record = run_episode(policy, made(condition, split="all"), held_out, name=name)
     assert np.abs(record.actions).max() > 0.5
     assert config_of_run(name)["name"] == name
 
 
 def test_no_other_policy_is_shipped():
-    with pytest.raises(MechSearchError, match="choose one of single, dual"):
+    with pytest.raises(MechSearchError, match="choose one of single, dual, retrieve, retrieve-dual"):
         shipped_file("triple")
