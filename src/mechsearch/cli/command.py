@@ -14,9 +14,7 @@ from mechsearch.evaluation.episodes import Evaluation
 from mechsearch.evaluation.rollout import load_some
 from mechsearch.files import check_place, write_whole
 from mechsearch.findings.tables import Table, to_text
-from mechsearch.heaps import (
-    recorded_objects,
-)
+from mechsearch.heaps.dataset import recorded_objects
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import PROCESSORS, Mapper, map_in_order
 from mechsearch.processes import bars as bars

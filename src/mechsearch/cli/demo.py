@@ -11,11 +11,8 @@ from mechsearch.cli.reporting import Report
 from mechsearch.cli.training import Train
 from mechsearch.evaluation.policies import policy_names
 from mechsearch.files import CONFIG_FILE
-from mechsearch.heaps import (
-    GenerateConfig,
-    generate,
-    load_heaps,
-)
+from mechsearch.heaps.dataset import load_heaps
+from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.training.config import run_config
 
 _RETRIEVING, _GRIPPER = "grasp-only", "jaws-85"

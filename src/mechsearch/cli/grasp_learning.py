@@ -40,9 +40,7 @@ from mechsearch.grasp.learning.training import (
     train_quality_network,
 )
 from mechsearch.grasp.quality_network import quality_file
-from mechsearch.heaps import (
-    load_heaps,
-)
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.retrieval.calibration import calibrate_network
 from mechsearch.types import Floats

@@ -32,11 +32,7 @@ from mechsearch.findings.bootstrap import estimated
 from mechsearch.grasp.depth_image import read_view
 from mechsearch.grasp.grasp_view import check_opening, view_of_heap
 from mechsearch.grasp.graspability import rate
-from mechsearch.heaps import (
-    Heap,
-    HeapSet,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import Heap, HeapSet, open_heaps
 from mechsearch.pictures.canvas import tiled
 from mechsearch.pictures.grasps import draw_grasps, lift_strip
 from mechsearch.retrieval.assessment import (

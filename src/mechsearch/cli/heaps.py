@@ -18,14 +18,8 @@ from mechsearch.cli.command import (
     say_table,
     wrote,
 )
-from mechsearch.heaps import (
-    GenerateConfig,
-    HeapSet,
-    generate,
-    load_heaps,
-    objects_of,
-    verify,
-)
+from mechsearch.heaps.dataset import HeapSet, load_heaps, objects_of
+from mechsearch.heaps.generate import GenerateConfig, generate, verify
 from mechsearch.pictures.sheet import heap_sheet
 
 

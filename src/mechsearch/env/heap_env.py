@@ -14,9 +14,7 @@ from mechsearch.env.scene import start_options as start_options
 from mechsearch.env.task import HeapEnvConfig, with_settings
 from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
-from mechsearch.heaps import (
-    Heap,
-)
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.sim import World, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError

@@ -12,9 +12,7 @@ from mechsearch.env.scene import HeapScene, SceneEnv, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import grasp_camera, see_heap
-from mechsearch.heaps import (
-    Heap,
-)
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import KEYS, KINDS
 from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed

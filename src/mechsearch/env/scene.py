@@ -14,11 +14,7 @@ import numpy as np
 from mechsearch.camera import preset
 from mechsearch.env.task import HeapEnvConfig
 from mechsearch.geometry import cap_length
-from mechsearch.heaps import (
-    Heap,
-    embedded_file,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer

@@ -41,13 +41,7 @@ from mechsearch.evaluation.policies import (
     task_of,
 )
 from mechsearch.files import differing_fields, fingerprint
-from mechsearch.heaps import (
-    Heap,
-    HeapSet,
-    embedded_file,
-    evenly_spread,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim import ENGINE_VERSION

@@ -36,11 +36,8 @@ from mechsearch.files import (
     write_record,
 )
 from mechsearch.findings.scores import compact, episode_files, load_scores, scores_file
-from mechsearch.heaps import (
-    HeapSet,
-    generate,
-    load_heaps,
-)
+from mechsearch.heaps.dataset import HeapSet, load_heaps
+from mechsearch.heaps.generate import generate
 from mechsearch.training.config import load_config
 from mechsearch.training.run import train
 from mechsearch.training.run_directory import load_policy

@@ -12,12 +12,8 @@ from mechsearch.evaluation.policies import LOOK_AHEAD, policy_names
 from mechsearch.evaluation.rollout import differing
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.files import differing_fields, read_record, record_from_json, write_record
-from mechsearch.heaps import (
-    CONDITIONS,
-    GenerateConfig,
-    object_set,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import CONDITIONS, object_set, open_heaps
+from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.teachers import PAPER_TEACHERS
 from mechsearch.training.assemble import SHIPPED_NETWORK
 from mechsearch.training.config import run_config

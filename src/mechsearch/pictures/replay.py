@@ -9,9 +9,7 @@ import numpy as np
 
 from mechsearch.env import RetrieveConfig, RetrieveEnv, task_from_json
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.heaps import (
-    Heap,
-)
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.pictures.film import (
     FILMS_ALONE,

@@ -6,9 +6,7 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.heaps import (
-    Heap,
-)
+from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import (
     SMOOTHING,

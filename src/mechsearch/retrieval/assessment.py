@@ -23,11 +23,7 @@ from mechsearch.grasp.graspability import (
     rate_target,
 )
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network
-from mechsearch.heaps import (
-    Heap,
-    object_set,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import Heap, object_set, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim import (

@@ -29,10 +29,7 @@ from mechsearch.grasp.grasp_view import (
 )
 from mechsearch.grasp.learning.states import STATE_KINDS, states_of
 from mechsearch.grasp.planner import LEAST_VISIBLE, GraspPlanner, propose
-from mechsearch.heaps import (
-    Heap,
-    object_set,
-)
+from mechsearch.heaps.dataset import Heap, object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.retrieval.assessment import LiftResult

@@ -9,9 +9,7 @@ from mechsearch.algorithm import Evaluator, RunConfig, TrainingSetup
 from mechsearch.evaluation.episodes import EpisodeRecord, mean_interval, score
 from mechsearch.evaluation.rollout import AnyEnv, make_environment, run
 from mechsearch.grasp.network import load_network
-from mechsearch.heaps import (
-    HeapSet,
-)
+from mechsearch.heaps.dataset import HeapSet
 from mechsearch.objects.model import ObjectSet
 from mechsearch.retrieval.assessment import GraspabilityChange
 from mechsearch.teachers import make_teacher

@@ -17,10 +17,7 @@ from mechsearch.files import (
     read_record,
     write_record,
 )
-from mechsearch.heaps import (
-    HeapSet,
-    open_heaps,
-)
+from mechsearch.heaps.dataset import HeapSet, open_heaps
 from mechsearch.processes import Progress, silent
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import run_config

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.files import read_arrays, read_record, write_record, write_whole
-from mechsearch.heaps import (
-    Heap,
-)
+from mechsearch.heaps.dataset import Heap
 from mechsearch.processes import Progress, map_in_order
 from mechsearch.types import Array, MechSearchError, Outcome
 

@@ -51,12 +51,7 @@ from mechsearch.grasp.quality_network import (
     grid_of,
     load_quality_network,
 )
-from mechsearch.heaps import (
-    Heap,
-    HeapSet,
-    check_objects,
-    object_set,
-)
+from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, silent
 from mechsearch.sim import (
     ENGINE_VERSION,

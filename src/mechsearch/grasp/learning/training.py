@@ -33,9 +33,7 @@ from mechsearch.grasp.quality_network import (
     mirrored,
     save_quality_network,
 )
-from mechsearch.heaps import (
-    evenly_spread,
-)
+from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, Floats, MechSearchError
 
