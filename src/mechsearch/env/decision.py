@@ -35,8 +35,14 @@ _BELOW = 0.01
 """How far below the table a grasp's centre may be [m]: the gripper stops at the table."""
 
 
-def reachable(poses: Array, workspace: Workspace) -> NDArray[np.bool_]:
-    """Return which poses (..., 7) of a gripper's frame are in reach (...,)."""
+def reachable(poses: Array, workspace: Workspace | None = None) -> NDArray[np.bool_]:
+    """Return which poses (..., 7) of a gripper's frame are in reach (...,).
+
+    Args:
+        poses: Of a gripper's frame.
+        workspace: Of the robot; None takes the usual one.
+    """
+    workspace = workspace or Workspace()
     above = np.abs(poses[..., :2]).max(axis=-1) <= workspace.table_half
     high = (poses[..., 2] >= -_BELOW) & (poses[..., 2] <= workspace.high)
     upright = rotation_from_quaternion(poses[..., 3:])[..., 2, 2] >= STEEPEST

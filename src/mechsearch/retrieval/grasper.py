@@ -9,7 +9,6 @@ from mechsearch.env import reachable
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, segment_view
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
-from mechsearch.sim import Workspace
 from mechsearch.types import Array, Floats, MechSearchError, Observation
 
 TARGET = 1
@@ -26,9 +25,6 @@ _FAILED_BEFORE = 0.6
 whatever it failed for, such as the target's weight, the others share. Fitted to grasps that were
 drawn from the better half on training heaps; once this is known, how near they were tells little.
 """
-
-_WORKSPACE = Workspace()
-"""Of the robot."""
 
 _UNSEEN = (0.0, 0.0, 0.03)
 """Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
@@ -113,7 +109,7 @@ class Grasper:
         found = []
         for number, planner in enumerate(self._planners):
             rated = planner.plan(view, self._rng, self._proposals)
-            kept = reachable(rated.poses, _WORKSPACE)
+            kept = reachable(rated.poses)
             poses, quality = rated.poses[kept], rated.quality[kept]
             if remembering and len(poses):
                 failures = sum(failed.gripper == number for failed in self._failed)
