@@ -2,7 +2,8 @@
 
 `make_env` (or `gymnasium.make` with "mechsearch/SingleHeap-v0" and "mechsearch/DualHeap-v0") gives
 environments, `make_retrieve_env` ("mechsearch/Retrieve-v0" and "mechsearch/RetrieveDual-v0") those
-of retrieval, `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
+of retrieval, "mechsearch/BenchmarkUncoverSingle-v1" and its like the benchmark's,
+`make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
 `generate` and `load_heaps` heap sets, `load_object_set` objects, `make_policy` policies by name,
 file or function, `evaluate` their episodes, and `train` runs of any algorithm (PyTorch). Each is
 imported when it is first used.
@@ -13,6 +14,8 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+
+from mechsearch.benchmark.protocol import environment_ids
 
 if TYPE_CHECKING:
     from mechsearch.env import (
@@ -88,6 +91,12 @@ for _name, _condition in (("SingleHeap", "single"), ("DualHeap", "dual")):
         entry_point="mechsearch.env.heap_env:make_env",
         vector_entry_point="mechsearch.env.vector.vector_env:make_vector_env",
         kwargs={"condition": _condition},
+    )
+for _name, _arguments in environment_ids().items():
+    gymnasium.register(
+        _name,
+        entry_point="mechsearch.benchmark.environment:make_benchmark_env",
+        kwargs=_arguments,
     )
 for _name, _condition in (("Retrieve", "single"), ("RetrieveDual", "dual")):
     gymnasium.register(

@@ -36,6 +36,10 @@ COMMANDS = {
     "grasp test": ("grasp_learning:TestGrasps", "judge grasp networks on labelled grasps"),
     "grasp calibrate": ("grasp_learning:CalibrateGrasps", "hold scores against lift success"),
     "grasp ceiling": ("grasping:FindCeiling", "which targets can grippers lift at all?"),
+    "benchmark list": ("benchmark:ListSplits", "the benchmark's tasks, splits and heaps"),
+    "benchmark run": ("benchmark:RunBenchmark", "a policy's episodes and card, as a submission"),
+    "benchmark submit": ("benchmark:Submit", "play a submission again, and enter it"),
+    "benchmark table": ("benchmark:TabulateSubmissions", "the table of all submissions"),
     "report": ("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": ("demo:Demo", "the whole way: heaps, training, scores, report"),
 }

@@ -453,7 +453,15 @@ def score(records: Iterable[EpisodeRecord]) -> dict[str, Estimate]:
     Raises:
         MechSearchError: If there are none, or grasps were tried in only some of them.
     """
-    measured = [measure(record) for record in records]
+    return estimates([measure(record) for record in records])
+
+
+def estimates(measured: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
+    """Return every metric over all the episodes, of which `measured` has the values of each.
+
+    Raises:
+        MechSearchError: As `score`.
+    """
     if not measured:
         raise MechSearchError("there is no episode to score; expected at least one")
     grasped = sum("graspability_change" in values for values in measured)

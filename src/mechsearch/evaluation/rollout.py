@@ -484,6 +484,7 @@ def make_environment(
     task: TaskConfig,
     keys: Sequence[str],
     privileged: bool = False,
+    render_mode: str | None = None,
 ) -> AnyEnv:
     """Return the environment of a task: a `RetrieveEnv` of a `RetrievalTask`, else a `HeapEnv`.
 
@@ -493,11 +494,12 @@ def make_environment(
         task: The task.
         keys: Observation keys.
         privileged: Whether to add the keys that critic and teachers read.
+        render_mode: "rgb_array" or None.
     """
     config = environment_config(task, keys, privileged)
     if isinstance(config, RetrieveConfig):
-        return RetrieveEnv(heaps, objects, config)
-    return HeapEnv(heaps, objects, config)
+        return RetrieveEnv(heaps, objects, config, render_mode)
+    return HeapEnv(heaps, objects, config, render_mode)
 
 
 def environment_config(
@@ -560,12 +562,63 @@ def replay_all(
         )
     kind = RetrieveConfig if evaluation.header.get("goal") == RETRIEVE else HeapEnvConfig
     config = task_from_json(kind, evaluation.header["env"])
-    # No image is looked at: what is recorded does not depend on what the policy saw.
-    play = _Play(heaps, spec, replace(config, keys=("ee_position",)))
     name = f"{evaluation.header['name']} played again"
-    results = mapper(play, evaluation.episodes, workers, EPISODE_LIMIT, _failed)
+    again = play_all(name, evaluation.episodes, config, heaps, spec, workers, progress, mapper)
+    for record, played in zip(evaluation.episodes, again, strict=True):
+        found = (played,) if isinstance(played, str) else record_differences(record, played)
+        yield EpisodeCheck(record.heap_seed, found)
+
+
+class Acted(Protocol):
+    """An episode of which what was done is known, whatever came of it; see `EpisodeRecord`."""
+
+    @property
+    def heap_seed(self) -> int:
+        """Seed of the heap."""
+
+    @property
+    def condition(self) -> str:
+        """Such as "single"."""
+
+    @property
+    def policy(self) -> str:
+        """Who acted."""
+
+    @property
+    def actions(self) -> Array:
+        """Commands (T, 3), or decisions (T, 9)."""
+
+
+def play_all(
+    name: str,
+    episodes: Sequence[Acted],
+    config: HeapEnvConfig,
+    heaps: Path,
+    objects: str = "",
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
+    idle: bool = False,
+) -> Iterator[EpisodeRecord | str]:
+    """Yield what comes of the actions of each episode, or why nothing does, in their order.
+
+    Args:
+        name: Of the whole, for `progress`.
+        episodes: What was done.
+        config: The task.
+        heaps: File of the heap set.
+        objects: Object set; empty takes the one that the heaps were made with.
+        workers: Processes.
+        progress: Told after each episode.
+        mapper: How the episodes are spread.
+        idle: Whether nothing more is done after the last action; otherwise an episode that is not
+            over then is an error.
+    """
+    # No image is looked at: what is recorded does not depend on what the policy saw.
+    play = _Play(heaps, objects, replace(config, keys=("ee_position",)), idle)
+    results = mapper(play, episodes, workers, EPISODE_LIMIT, _failed)
     for i, found in enumerate(results):
-        progress(name, i + 1, len(evaluation.episodes))
+        progress(name, i + 1, len(episodes))
         yield found
 
 
@@ -595,8 +648,8 @@ def _first(before: Array, now: Array) -> int:
     return int(np.argmax((before.reshape(rows) != now.reshape(rows)).any(axis=1)))
 
 
-def _failed(record: EpisodeRecord, failure: Failure) -> EpisodeCheck:
-    return EpisodeCheck(record.heap_seed, (failure.reason,))
+def _failed(record: Acted, failure: Failure) -> str:
+    return failure.reason
 
 
 @dataclass(frozen=True)
@@ -606,18 +659,19 @@ class _Play:
     heaps: Path
     objects: str
     config: HeapEnvConfig
+    idle: bool
 
-    def __call__(self, record: EpisodeRecord) -> EpisodeCheck:
+    def __call__(self, record: Acted) -> EpisodeRecord | str:
         env = self._env
         named = (record.heap_seed, record.condition)
         found = [i for i, h in enumerate(env.heaps) if (h.seed, h.condition) == named]
         if not found:
-            return EpisodeCheck(record.heap_seed, ("its heap is not in the set",))
+            return "its heap is not in the set"
         try:
-            played = run_episode(_Recorded(record.actions), env, found[0], name=record.policy)
+            again = _Recorded(record.actions, self.idle)
+            return run_episode(again, env, found[0], name=record.policy)
         except MechSearchError as error:
-            return EpisodeCheck(record.heap_seed, (str(error),))
-        return EpisodeCheck(record.heap_seed, record_differences(record, played))
+            return str(error)
 
     @cached_property
     def _env(self) -> AnyEnv:
@@ -630,8 +684,8 @@ class _Recorded:
 
     keys: tuple[str, ...] = ("ee_position",)
 
-    def __init__(self, actions: Sequence[Array] | Array) -> None:
-        self._actions = iter(actions)
+    def __init__(self, actions: Array, idle: bool) -> None:
+        self._actions, self._size, self._idle = iter(actions), actions.shape[1:], idle
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin; there is nothing to draw."""
@@ -639,6 +693,8 @@ class _Recorded:
     def act(self, obs: Observation) -> Array:
         """Return the next recorded action."""
         action = next(self._actions, None)
+        if action is None and self._idle:
+            return np.zeros(self._size)
         if action is None:
             raise MechSearchError("it goes on after the last recorded action")
         return np.asarray(action)

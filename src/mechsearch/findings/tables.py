@@ -250,6 +250,13 @@ def to_text(table: Table) -> str:
     return text.replace(MINUS, "-")
 
 
+def to_markdown(table: Table) -> str:
+    """Return a table in Markdown, its caption above it, intervals behind their means."""
+    rows = [table.columns, ["---"] * len(table.columns), *table.rows]
+    lines = [f"| {' | '.join(map(_one_line, row))} |" for row in rows]
+    return "\n".join([table.caption, "", *lines]) + "\n"
+
+
 def _with_interval(estimate: Estimate, shown: Callable[[float], str], form: str) -> str:
     mean, *ends = (shown(end).replace("-", MINUS) for end in astuple(estimate)[:3])
     return mean if np.isnan(estimate.ci_low) else mean + form.format(*ends)

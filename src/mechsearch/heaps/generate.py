@@ -6,7 +6,7 @@ taken in their order, so a heap set does not depend on the number of workers.
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.render.visibility import body_of, occlusion
 from mechsearch.sim import (
+    AWAKE,
     ENGINE_VERSION,
     REST_LIMIT,
     PhysicsConfig,
@@ -52,6 +53,7 @@ from mechsearch.sim import (
 from mechsearch.types import Floats, MechSearchError
 
 DROPS = ("wall", "open")
+HELD_OUT = ("half", "all")
 
 ATTEMPT_LIMIT = 300.0
 """Time after which an attempt or a check hangs [s]; either takes a fraction of a second."""
@@ -75,6 +77,11 @@ class GenerateConfig:
         most: Greatest occlusion of a target.
         height: From which an object's lowest point drops [m]; higher only over a higher heap.
         counts: Objects in each heap; empty means the paper's.
+        only: Names of the objects to choose from; empty means all.
+        without: Names of objects to leave out.
+        held_out: Which heaps are kept for evaluation: "half" of each object count, or "all".
+        retries: How many more chances to come to rest, in an episode's physics, a heap has, what
+            fell off the table dropped onto it again; 0 discards a heap at the first look.
     """
 
     condition: str = "single"
@@ -87,6 +94,10 @@ class GenerateConfig:
     most: float = 0.9
     height: float = 0.3
     counts: tuple[int, ...] = ()
+    only: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    held_out: str = "half"
+    retries: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "objects", str(self.objects))
@@ -94,6 +105,12 @@ class GenerateConfig:
         preset(self.camera)
         if self.drop not in DROPS:
             raise MechSearchError(f"unknown drop {self.drop!r}; choose one of {', '.join(DROPS)}")
+        if self.held_out not in HELD_OUT:
+            raise MechSearchError(
+                f"held_out is {self.held_out!r}; choose one of {', '.join(HELD_OUT)}"
+            )
+        if self.retries < 0:
+            raise MechSearchError(f"retries is {self.retries}; expected at least 0")
         if len(set(self.counts)) < len(self.counts):
             raise MechSearchError(f"counts are {self.counts}; expected each number once")
         least = 2 if self.condition == "single" else 1
@@ -117,6 +134,22 @@ class GenerateConfig:
     def object_counts(self) -> tuple[int, ...]:
         """Objects in each heap, one entry for each equally large part of the set."""
         return self.counts or CONDITIONS[self.condition]
+
+    @property
+    def chosen(self) -> ObjectSet:
+        """The objects that may lie in a heap.
+
+        Raises:
+            MechSearchError: If there is no such set or object.
+        """
+        return object_set(self.objects).choose(self.only, self.without)
+
+    def record(self) -> dict[str, Any]:
+        """Return the values that name the set; later fields only where they are not the usual."""
+        later = ("only", "without", "held_out", "retries")
+        usual = {entry.name: entry.default for entry in fields(self) if entry.name in later}
+        values = {k: v for k, v in asdict(self).items() if k not in usual or v != usual[k]}
+        return values | {"counts": self.object_counts}
 
 
 @dataclass(frozen=True)
@@ -221,7 +254,7 @@ def generate(
         MechSearchError: If `path` holds another set, the objects are too few or hardly ever hide
             each other, or another process generates this set.
     """
-    path, objects = Path(path), object_set(config.objects)
+    path, objects = Path(path), config.chosen
     needed = max(config.object_counts) * (2 if config.condition == "dual" else 1)
     if len(objects.models) < needed:
         raise MechSearchError(
@@ -268,11 +301,13 @@ def _collected(
     """Return all heaps and their manifest."""
     # Every second heap is held out, so that each object count is halved.
     heaps = [
-        replace(heap, held_out=i % 2 == 1) for quota in quotas for i, heap in enumerate(quota.heaps)
+        replace(heap, held_out=config.held_out == "all" or i % 2 == 1)
+        for quota in quotas
+        for i, heap in enumerate(quota.heaps)
     ]
     manifest = {
         "format": HEAPS_FORMAT,
-        "config": {**asdict(config), "objects": objects.name, "counts": config.object_counts},
+        "config": {**config.record(), "objects": objects.name},
         "engine": ENGINE_VERSION,
         "object_hashes": objects.hashes,
         "attempts": {str(quota.count): quota.tried for quota in quotas},
@@ -345,6 +380,23 @@ def _orientation(
     return best[1:]
 
 
+def _let_fall(
+    world: World,
+    index: int,
+    model: ObjectModel,
+    wall: Wall,
+    highest: float,
+    config: GenerateConfig,
+    rng: np.random.Generator,
+) -> None:
+    """Put one object, turned at random, in the air over what is `highest` inside a wall [m]."""
+    reach = wall.radius if config.drop == "wall" else np.inf
+    quaternion, low, offset = _orientation(model, reach, rng)
+    height = max(config.height, highest + 0.1) - low
+    x, y = wall.x + offset[0], wall.y + offset[1]
+    world.place(index, np.array([x, y, height, *quaternion]))
+
+
 def _drop(
     world: World,
     models: Sequence[ObjectModel],
@@ -358,23 +410,41 @@ def _drop(
     # An object has fallen far enough to drop the next one above it.
     pause = round(0.16 / len(walls) / world.config.time_step)
     for i, model in enumerate(models):
-        wall = walls[i % len(walls)]
-        reach = wall.radius if config.drop == "wall" else np.inf
-        quaternion, low, offset = _orientation(model, reach, rng)
-        fallen = world.poses[i % len(walls) : i : len(walls), 2].max(initial=0.0)
-        height = max(config.height, fallen + 0.1) - low
-        x, y = wall.x + offset[0], wall.y + offset[1]
-        world.place(i, np.array([x, y, height, *quaternion]))
+        highest = world.poses[i % len(walls) : i : len(walls), 2].max(initial=0.0)
+        _let_fall(world, i, model, walls[i % len(walls)], highest, config, rng)
         world.step(pause)
     world.step(round(0.25 / world.config.time_step))
     world.remove_walls()
-    if not settle(world) or world.failure() is not None:
+    settled = settle(world)
+    if world.failure() is not None:
         return None
-    return world.poses
+    if config.retries:
+        return _retried(models, world.poses, walls, config, rng)
+    return world.poses if settled else None
+
+
+def _retried(
+    models: Sequence[ObjectModel],
+    poses: Floats,
+    walls: Sequence[Wall],
+    config: GenerateConfig,
+    rng: np.random.Generator,
+) -> Floats | None:
+    """Return the poses at rest of a heap that has more chances than one, or None."""
+    world = World(models, config=AWAKE)
+    world.reset(poses)
+    for _ in range(config.retries):
+        for i in np.flatnonzero(world.workspace.off_table(world.poses)):
+            highest = float(world.poses[:, 2].max())
+            _let_fall(world, int(i), models[i], walls[i % len(walls)], highest, config, rng)
+            world.step(round(0.16 / world.config.time_step))
+        if settle(world):
+            return world.poses if world.failure() is None else None
+    return None
 
 
 def _attempted(config: GenerateConfig, drop: Drop) -> Drop:
-    objects = object_set(config.objects)
+    objects = config.chosen
     return replace(drop, heap=attempt(config, objects, drop.count, drop.number))
 
 
@@ -389,7 +459,7 @@ def _open_journal(config: GenerateConfig, objects: ObjectSet, path: Path) -> Pat
     """Return the file of attempts so far, empty or of the very same set."""
     journal = path.with_name(f".{path.stem}.attempts.jsonl")
     identity = {
-        "config": {**asdict(config), "counts": list(config.object_counts)},
+        "config": config.record(),
         "engine": ENGINE_VERSION,
         "object_hashes": objects.hashes,
     }

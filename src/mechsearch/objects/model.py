@@ -1,13 +1,13 @@
 """One rigid object, ready for physics and rendering, its identity, and sets of them."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.types import Array, Floats
+from mechsearch.types import Array, Floats, MechSearchError
 
 FRICTION = 0.5
 """Sliding coefficient of an object whose own is unknown; about wood on wood."""
@@ -106,6 +106,27 @@ class ObjectSet:
     def hashes(self) -> dict[str, str]:
         """Content hash of each object, by name."""
         return {name: model.content_hash for name, model in self.models.items()}
+
+    def choose(self, only: Sequence[str] = (), without: Sequence[str] = ()) -> "ObjectSet":
+        """Return the set of some of its objects.
+
+        Args:
+            only: Names of those to keep; empty keeps all.
+            without: Names of those to leave out.
+
+        Raises:
+            MechSearchError: If there is no object of such a name.
+        """
+        unknown = [name for name in (*only, *without) if name not in self.models]
+        if unknown:
+            raise MechSearchError(
+                f"object set {self.name!r} has no {', '.join(unknown)}; choose among "
+                f"{', '.join(self.models)}"
+            )
+        kept = {
+            k: v for k, v in self.models.items() if (not only or k in only) and k not in without
+        }
+        return ObjectSet(self.name, kept, self.excluded)
 
     def differing(self, recorded: Mapping[str, str]) -> list[str]:
         """Return the names, of recorded content hashes, that are missing or have another here."""

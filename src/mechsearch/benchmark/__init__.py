@@ -1,0 +1,1 @@
+"""Fixed tasks and heaps, and submissions: recorded episodes that are played again."""

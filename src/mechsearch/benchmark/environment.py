@@ -1,0 +1,87 @@
+"""What acting in the benchmark means: the environment of a task on the heaps of a split."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from mechsearch.benchmark.protocol import HEAPS_FOLDER, SPLITS, TASKS, entry
+from mechsearch.env import RetrievalTask, TaskConfig
+from mechsearch.evaluation.policies import RETRIEVE
+from mechsearch.evaluation.rollout import AnyEnv, make_environment
+from mechsearch.heaps.dataset import HeapSet, open_heaps
+from mechsearch.objects.model import ObjectSet
+from mechsearch.types import ACTOR_KEYS, RETRIEVAL_KEYS, MechSearchError
+
+
+def fixed_task(
+    name: str, camera: str, image_size: int = 64, grippers: Sequence[str] = ()
+) -> TaskConfig:
+    """Return the task of a name: fixed, but for what the policy chooses.
+
+    Args:
+        name: Of `TASKS`.
+        camera: View from which occlusion is measured, that of the heaps.
+        image_size: Side of the policy's images [px].
+        grippers: Names of those that retrieve; empty takes the usual one.
+
+    Raises:
+        MechSearchError: If there is no such task, or a choice is no good.
+    """
+    if entry(TASKS, "task", name).goal != RETRIEVE:
+        return TaskConfig(camera, image_size)
+    return RetrievalTask(camera, image_size, grippers=tuple(grippers) or RetrievalTask.grippers)
+
+
+def open_split(name: str, folder: Path, objects: str = "") -> tuple[Path, HeapSet, ObjectSet]:
+    """Return the file of a split's heaps, the set that they are of, and its objects.
+
+    Args:
+        name: Of `SPLITS`.
+        folder: Where the heap sets are.
+        objects: Object set; empty takes the one that the heaps name.
+
+    Raises:
+        MechSearchError: If one is missing, or the heaps are others.
+    """
+    split = entry(SPLITS, "split", name)
+    file = folder / split.file
+    heap_set, found = open_heaps(file, objects)
+    if heap_set.hash != split.heap_set:
+        raise MechSearchError(
+            f"{file} has the hash {heap_set.hash[:12]}; the split {name} is the heap set "
+            f"{split.heap_set[:12]}"
+        )
+    return file, heap_set, found
+
+
+def make_benchmark_env(
+    task: str,
+    split: str,
+    heaps: str | Path = HEAPS_FOLDER,
+    objects: str = "",
+    keys: Sequence[str] = (),
+    privileged: bool = False,
+    image_size: int = 64,
+    grippers: Sequence[str] = (),
+    render_mode: str | None = None,
+) -> AnyEnv:
+    """Return the environment of a task on the heaps of a split.
+
+    Args:
+        task: Of `TASKS`.
+        split: Of `SPLITS`.
+        heaps: Folder of the heap sets.
+        objects: Object set; empty takes the one that the heaps name.
+        keys: Observation keys; empty takes the usual ones.
+        privileged: Whether to add the keys that critic and teachers read.
+        image_size: Side of the images [px].
+        grippers: Names of those that retrieve; empty takes the usual one.
+        render_mode: "rgb_array" or None.
+
+    Raises:
+        MechSearchError: If a name is unknown, or heaps or objects are others.
+    """
+    _, heap_set, object_set = open_split(split, Path(heaps), objects)
+    chosen = [heap_set.heaps[i] for i in heap_set.choose(SPLITS[split].part, SPLITS[split].limit)]
+    fixed = fixed_task(task, heap_set.camera, image_size, grippers)
+    usual = RETRIEVAL_KEYS if isinstance(fixed, RetrievalTask) else ACTOR_KEYS
+    return make_environment(chosen, object_set, fixed, keys or usual, privileged, render_mode)

@@ -1,0 +1,102 @@
+"""The benchmark's tasks and splits, each one entry in a table, and what they are fixed by."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from mechsearch.types import MechSearchError
+
+HEAPS_FOLDER = "results/heaps"
+"""Where the repository has the heap sets, as seen from its root."""
+
+UNSEEN = (
+    *("004_sugar_box", "005_tomato_soup_can", "012_strawberry", "017_orange", "031_spoon"),
+    *("040_large_marker", "052_extra_large_clamp", "054_softball", "061_foam_brick"),
+    *("065-b_cups", "065-g_cups", "072-c_toy_airplane", "073-b_lego_duplo"),
+)
+"""Objects that lie in no training heap: of each category of the published table, its usable members
+sorted by name, the second and every fourth after it. A category of one stays known."""
+
+
+@dataclass(frozen=True)
+class BenchmarkTask:
+    """What is to be done; its environment is the default one of its goal, and fixed.
+
+    Attributes:
+        version: Goes up when an episode would earn another reward or end otherwise.
+        goal: "uncover" or "retrieve"; see `evaluation.policies.goal_of`.
+        ranked_by: The score by which the table is sorted.
+    """
+
+    version: int
+    goal: str
+    ranked_by: str
+
+
+@dataclass(frozen=True)
+class Split:
+    """The heaps of a task, fixed by their hash.
+
+    Attributes:
+        file: Heap set, in the folder of heap sets.
+        heap_set: Hash of that set.
+        part: "held-out", "train" or "all" of its heaps.
+        limit: How many of them, spread evenly; 0 takes all.
+        what: The heaps in words.
+        unseen: Objects that must not have lain in a heap of the training.
+    """
+
+    file: str
+    heap_set: str
+    part: str
+    limit: int
+    what: str
+    unseen: tuple[str, ...] = ()
+
+
+TASKS = {
+    "uncover": BenchmarkTask(1, "uncover", "reward"),
+    "retrieve": BenchmarkTask(1, "retrieve", "retrieved_within_1"),
+}
+
+SPLITS = {
+    "single": Split(
+        "ycb_single.parquet",
+        "48628cf7bf1101356e3aad1e5d2b9b5feb385e357817180685e8c018dab9b146",
+        "held-out",
+        300,
+        "single heaps of 5, 10 and 15 objects",
+    ),
+    "dual": Split(
+        "ycb_dual.parquet",
+        "badef933ad02de73c70e87ddde5d1e4251ae73b518577e35b016ed56c2d275fe",
+        "held-out",
+        300,
+        "two heaps of 5 to 10 objects each",
+    ),
+}
+
+Entry = TypeVar("Entry")
+
+
+def entry(table: Mapping[str, Entry], kind: str, name: str) -> Entry:
+    """Return what a name stands for in `TASKS` or `SPLITS`.
+
+    Raises:
+        MechSearchError: If it stands for nothing.
+    """
+    if name not in table:
+        raise MechSearchError(f"unknown {kind} {name!r}; choose one of {', '.join(table)}")
+    return table[name]
+
+
+def environment_ids() -> dict[str, dict[str, str]]:
+    """Return the arguments of `make_benchmark_env` by Gymnasium id."""
+    return {
+        f"mechsearch/Benchmark{task.title()}{split.title()}-v{TASKS[task].version}": {
+            "task": task,
+            "split": split,
+        }
+        for task in TASKS
+        for split in SPLITS
+    }
