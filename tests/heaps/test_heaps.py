@@ -14,6 +14,7 @@ from mechsearch.heaps.dataset import (
     embedded_heaps,
     heap_from_json,
     heap_to_json,
+    join_heaps,
     load_heaps,
     open_heaps,
     save_heaps,
@@ -244,6 +245,8 @@ def test_the_embedded_heaps_have_names(name, small, tmp_path, monkeypatch):
         ({"camera": "side"}, "'side'"),
         ({"counts": (5, 5), "heaps": 4}, "each number once"),
         ({"least": 0.9, "most": 0.1}, "least < most"),
+        ({"held_out": "some"}, "'some'.*half, all"),
+        ({"retries": -1}, "retries is -1"),
     ],
 )
 def test_wrong_settings_are_named(settings, words):
@@ -260,3 +263,53 @@ def test_a_heap_survives_json():
     heap = embedded_heaps("single").heaps[0]
     again = heap_from_json(json.loads(json.dumps(heap_to_json(heap))))
     np.testing.assert_array_equal(again.poses, heap.poses)
+
+
+def test_objects_are_chosen_and_left_out_by_name(small, tmp_path):
+    names = tuple(load_object_set("household").models)
+    config = replace(SMALL, counts=(3,), heaps=2, only=names[:5], without=names[:1], held_out="all")
+    heaps = generate(config, tmp_path / "some.parquet")
+    assert set(heaps.manifest["object_hashes"]) == set(names[1:5])
+    assert {name for heap in heaps.heaps for name in heap.objects} <= set(names[1:5])
+    assert all(heap.held_out for heap in heaps.heaps)
+    assert heaps.manifest["config"]["without"] == names[:1]
+    # Sets that were made before there was a choice keep their hash.
+    assert not {"only", "without", "held_out", "retries"} & set(small[1].manifest["config"])
+    with pytest.raises(MechSearchError, match="no anvil; choose among"):
+        generate(replace(config, without=("anvil",)), tmp_path / "none.parquet")
+
+
+def test_what_fell_off_the_table_is_dropped_again_where_a_heap_has_more_chances():
+    """This drop is discarded at the first look, and lies at rest with more chances."""
+    objects = load_object_set("household")
+    crowded = GenerateConfig(counts=(30,), heaps=1, seed=3)
+    numbers = (1,)
+    before = [attempt(crowded, objects, 30, i) for i in numbers]
+    after = [attempt(replace(crowded, retries=3), objects, 30, i) for i in numbers]
+    assert sum(heap is not None for heap in after) > sum(heap is not None for heap in before)
+    for heap in after:
+        if heap is not None:
+            assert np.abs(heap.poses[:, :2]).max() < 0.4
+            assert heap.poses[:, 2].min() > -0.05
+
+
+def test_joined_sets_are_one_of_all_their_heaps(small, tmp_path):
+    dual = embedded_heaps("dual")
+    path = tmp_path / "joined.parquet"
+    joined = join_heaps([small[1], dual], path)
+    assert load_heaps(path).hash == joined.hash
+    assert [h.seed for h in joined.heaps] == [h.seed for h in (*small[1].heaps, *dual.heaps)]
+    assert joined.condition == "single+dual"
+    assert joined.manifest["parts"] == [small[1].manifest, dual.manifest]
+    for sets, words in (([dual], "exists already"), ([dual, dual], "exists already")):
+        with pytest.raises(MechSearchError, match=words):
+            join_heaps(sets, path)
+    with pytest.raises(MechSearchError, match="1 heap sets given"):
+        join_heaps([dual], tmp_path / "one.parquet")
+    with pytest.raises(MechSearchError, match="a heap is in two"):
+        join_heaps([dual, dual], tmp_path / "twice.parquet")
+    tilted = replace(
+        dual, manifest={**dual.manifest, "config": {**dual.manifest["config"], "camera": "tilted"}}
+    )
+    with pytest.raises(MechSearchError, match="the camera 'overhead', another 'tilted'"):
+        join_heaps([dual, tilted], tmp_path / "views.parquet")

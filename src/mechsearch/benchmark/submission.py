@@ -178,8 +178,9 @@ def submission_of(
             f"{header['name']} has episodes of another task than {task}; choose the one that its "
             "policy is for"
         )
-    shown = {"keys": fixed.keys, "privileged": fixed.privileged, "max_clutter": fixed.max_clutter}
-    others = differing(fixed, replace(acted, **shown))
+    # What was looked at is the policy's own.
+    alike = replace(acted, keys=fixed.keys, privileged=False, max_clutter=0)
+    others = differing(fixed, alike)
     if others:
         raise MechSearchError(f"{header['name']} acted in another task: {', '.join(others)}")
     card = SubmissionCard(
@@ -205,7 +206,9 @@ def _claim(record: EpisodeRecord, name: str) -> Claim:
     pushes = actions[:, 0] == PUSH if record.retrieval else np.ones(len(actions), np.bool_)
     part = slice(2, 5) if record.retrieval else slice(None)
     actions[pushes, part] = np.clip(actions[pushes, part], -1.0, 1.0)
-    return Claim(record.heap_seed, record.condition, name, actions, record.end, measure(record))
+    # What a gripper could do before and after is no part of these tasks.
+    scores = measure(replace(record, grasp=None))
+    return Claim(record.heap_seed, record.condition, name, actions, record.end, scores)
 
 
 def save_submission(path: Path, submission: Submission) -> None:

@@ -21,6 +21,7 @@ COMMANDS = {
     "objects list": ("objects:List", "list the objects of a set, and those left out"),
     "objects sheet": ("objects:Sheet", "draw every object of a set on one picture"),
     "heaps generate": ("heaps:Generate", "drop objects into heaps, and keep the useful ones"),
+    "heaps join": ("heaps:JoinHeaps", "one heap set of several"),
     "heaps show": ("heaps:ShowHeaps", "say what is in a heap set, and draw it"),
     "heaps verify": ("heaps:VerifyHeaps", "prove that every heap rests, hidden as recorded"),
     "train": ("training:Train", "train an actor, or go on with a run"),

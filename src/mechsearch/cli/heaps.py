@@ -8,6 +8,7 @@ import tyro
 
 from mechsearch.cli.command import (
     FLAT,
+    Command,
     PICTURES,
     OfObjects,
     Parallel,
@@ -18,7 +19,7 @@ from mechsearch.cli.command import (
     say_table,
     wrote,
 )
-from mechsearch.heaps.dataset import HeapSet, load_heaps, objects_of
+from mechsearch.heaps.dataset import HeapSet, join_heaps, load_heaps, objects_of
 from mechsearch.heaps.generate import GenerateConfig, generate, verify
 from mechsearch.pictures.sheet import heap_sheet
 
@@ -45,6 +46,24 @@ class Generate(Spread):
         for count, lost in heap_set.manifest.get("lost_attempts", {}).items():
             for number, reason in lost.items():
                 say(f"drop {number} of {count} objects is left out, it failed twice: {reason}")
+        wrote(self.out)
+
+
+@dataclass(frozen=True)
+class JoinHeaps(Command):
+    """Write one heap set of the heaps of several, such as single and dual ones.
+
+    Attributes:
+        heaps: Heap sets (.parquet) of the same objects.
+        out: Heap set to write.
+    """
+
+    heaps: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="HEAPS [...]")]
+    out: Path
+
+    def run(self) -> None:
+        """Join and write them."""
+        describe(join_heaps([load_heaps(path) for path in self.heaps], self.out))
         wrote(self.out)
 
 

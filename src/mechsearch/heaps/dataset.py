@@ -198,6 +198,53 @@ def save_heaps(path: str | Path, heaps: Sequence[Heap], manifest: Mapping[str, A
     return heap_set
 
 
+def join_heaps(sets: Sequence[HeapSet], path: Path) -> HeapSet:
+    """Write one set of the heaps of several, such as single and dual ones, and return it.
+
+    Its manifest has theirs as `parts`, and the settings that they share.
+
+    Raises:
+        MechSearchError: If there are fewer than two, they are not of the same objects, camera and
+            engine, a heap is in two of them, or `path` is there already.
+    """
+    if len(sets) < 2 or path.exists():
+        raise MechSearchError(
+            f"{path} exists already; name another file or remove it"
+            if path.exists()
+            else f"{len(sets)} heap sets given; expected at least two"
+        )
+    first = sets[0]
+    hashes: dict[str, str] = {}
+    for one in sets:
+        hashes |= one.manifest["object_hashes"]
+        for name, own, other in (
+            ("objects", first.objects, one.objects), ("camera", first.camera, one.camera),
+            ("engine", first.manifest["engine"], one.manifest["engine"]),
+        ):  # fmt: skip
+            if own != other:
+                raise MechSearchError(
+                    f"one heap set has the {name} {own!r}, another {other!r}; expected the same"
+                )
+        if any(hashes[name] != digest for name, digest in first.manifest["object_hashes"].items()):
+            raise MechSearchError("the heap sets are of different objects of the same names")
+    heaps = [heap for one in sets for heap in one.heaps]
+    if len({(heap.seed, heap.condition) for heap in heaps}) < len(heaps):
+        raise MechSearchError("a heap is in two of the heap sets; expected each once")
+    configs = [one.manifest["config"] for one in sets]
+    shared = {k: v for k, v in configs[0].items() if all(c.get(k) == v for c in configs)}
+    conditions = "+".join(dict.fromkeys(one.condition for one in sets))
+    drops = sum(sum(one.manifest["attempts"].values()) for one in sets)
+    manifest = {
+        "format": HEAPS_FORMAT,
+        "config": {"seed": None, **shared, "condition": conditions},
+        "engine": first.manifest["engine"],
+        "object_hashes": hashes,
+        "acceptance_rate": len(heaps) / max(drops, 1),
+        "parts": [one.manifest for one in sets],
+    }
+    return save_heaps(path, heaps, manifest)
+
+
 def load_heaps(path: str | Path) -> HeapSet:
     """Read a heap set.
 

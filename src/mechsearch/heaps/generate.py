@@ -434,9 +434,9 @@ def _retried(
     world = World(models, config=AWAKE)
     world.reset(poses)
     for _ in range(config.retries):
-        for i in np.flatnonzero(world.workspace.off_table(world.poses)):
+        for i in np.flatnonzero(world.workspace.off_table(world.poses)).tolist():
             highest = float(world.poses[:, 2].max())
-            _let_fall(world, int(i), models[i], walls[i % len(walls)], highest, config, rng)
+            _let_fall(world, i, models[i], walls[i % len(walls)], highest, config, rng)
             world.step(round(0.16 / world.config.time_step))
         if settle(world):
             return world.poses if world.failure() is None else None
