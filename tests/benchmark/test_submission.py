@@ -10,7 +10,13 @@ import pytest
 
 from mechsearch.benchmark import submission as submissions
 from mechsearch.benchmark.environment import fixed_task, make_benchmark_env
-from mechsearch.benchmark.protocol import SPLITS, TASKS, UNSEEN, Split, environment_ids
+from mechsearch.benchmark.protocol import (
+    BENCHMARK_SPLITS,
+    BENCHMARK_TASKS,
+    UNSEEN,
+    Split,
+    environment_ids,
+)
 from mechsearch.cli import main
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.heaps.dataset import embedded_file, load_heaps
@@ -34,13 +40,13 @@ def splits():
     }
     with pytest.MonkeyPatch.context() as patch:
         for name, split in found.items():
-            patch.setitem(SPLITS, name, split)
+            patch.setitem(BENCHMARK_SPLITS, name, split)
         yield found
 
 
 def recorded(split: str = "tiny", **settings):
     plan = EvaluationPlan(
-        "teacher-straight", FOLDER / SPLITS[split].file, limit=3,
+        "teacher-straight", FOLDER / BENCHMARK_SPLITS[split].file, limit=3,
         task=replace(fixed_task("uncover", "overhead"), **settings),
     )  # fmt: skip
     return evaluate_plan(plan)
@@ -191,8 +197,10 @@ def test_elsewhere_some_may_differ_and_then_the_replay_counts(straight):
 
 def test_who_has_seen_the_unseen_objects_is_refused_by_their_names(straight):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SPLITS, "tiny", replace(SPLITS["tiny"], unseen=("mug", "bowl")))
-        with pytest.raises(MechSearchError, match="training heaps held bowl; see"):
+        patch.setitem(
+            BENCHMARK_SPLITS, "tiny", replace(BENCHMARK_SPLITS["tiny"], unseen=("mug", "bowl"))
+        )
+        with pytest.raises(MechSearchError, match="training heaps held bowl; docs"):
             replace(straight.card, training_objects=("bowl", "plate"))
 
 
@@ -211,8 +219,8 @@ def test_the_unseen_objects_follow_their_rule():
 
 
 def test_every_split_of_the_repository_is_the_heap_set_that_its_entry_names():
-    for name in set(SPLITS) - {"tiny", "other"}:
-        split = SPLITS[name]
+    for name in set(BENCHMARK_SPLITS) - {"tiny", "other"}:
+        split = BENCHMARK_SPLITS[name]
         metadata = pq.read_schema(ROOT / "results/heaps" / split.file).metadata
         assert metadata[b"sha256"].decode() == split.heap_set
         used = json.loads(metadata[b"mechsearch"])["object_hashes"]
@@ -250,7 +258,7 @@ def test_a_task_that_changes_gets_a_new_version():
             key: {part: now[key][part] for part in value} if isinstance(value, dict) else now[key]
             for key, value in known.items()
         }
-        assert (TASKS[name].version, same) == (number, known)
+        assert (BENCHMARK_TASKS[name].version, same) == (number, known)
 
 
 def test_the_registered_ids_make_the_heaps_of_their_split(monkeypatch):
@@ -264,7 +272,9 @@ def test_the_registered_ids_make_the_heaps_of_their_split(monkeypatch):
     assert [h.seed for h in env.heaps] == [heaps[i].seed for i in chosen]
     env = make_benchmark_env("retrieve", "tiny", FOLDER, grippers=("jaws-56",))
     assert env.config.grippers == ("jaws-56",)
-    monkeypatch.setitem(SPLITS, "tiny", replace(SPLITS["tiny"], heap_set="0" * 64))
+    monkeypatch.setitem(
+        BENCHMARK_SPLITS, "tiny", replace(BENCHMARK_SPLITS["tiny"], heap_set="0" * 64)
+    )
     with pytest.raises(MechSearchError, match="the split tiny is the heap set"):
         make_benchmark_env("uncover", "tiny", FOLDER)
 

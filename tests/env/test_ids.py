@@ -8,7 +8,8 @@ from stable_baselines3.common import env_checker
 import mechsearch
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
-IDS = sorted(name for name in gymnasium.registry if name.startswith("mechsearch/"))
+REGISTERED = sorted(name for name in gymnasium.registry if name.startswith("mechsearch/"))
+IDS = [name for name in REGISTERED if not name.startswith("mechsearch/Benchmark")]
 PUSHING = [name for name in IDS if "Retrieve" not in name]
 
 

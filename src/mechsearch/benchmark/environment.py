@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from mechsearch.benchmark.protocol import HEAPS_FOLDER, SPLITS, TASKS, entry
+from mechsearch.benchmark.protocol import BENCHMARK_SPLITS, BENCHMARK_TASKS, HEAPS_FOLDER, entry
 from mechsearch.env import RetrievalTask, TaskConfig
-from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.evaluation.rollout import AnyEnv, make_environment
-from mechsearch.heaps.dataset import HeapSet, open_heaps
-from mechsearch.objects.model import ObjectSet
+from mechsearch.heaps.dataset import HeapSet, object_set, open_heaps
 from mechsearch.types import ACTOR_KEYS, RETRIEVAL_KEYS, MechSearchError
 
 
@@ -18,7 +16,7 @@ def fixed_task(
     """Return the task of a name: fixed, but for what the policy chooses.
 
     Args:
-        name: Of `TASKS`.
+        name: Of `BENCHMARK_TASKS`.
         camera: View from which occlusion is measured, that of the heaps.
         image_size: Side of the policy's images [px].
         grippers: Names of those that retrieve; empty takes the usual one.
@@ -26,31 +24,31 @@ def fixed_task(
     Raises:
         MechSearchError: If there is no such task, or a choice is no good.
     """
-    if entry(TASKS, "task", name).goal != RETRIEVE:
+    if not entry(BENCHMARK_TASKS, "task", name).retrieves:
         return TaskConfig(camera, image_size)
     return RetrievalTask(camera, image_size, grippers=tuple(grippers) or RetrievalTask.grippers)
 
 
-def open_split(name: str, folder: Path, objects: str = "") -> tuple[Path, HeapSet, ObjectSet]:
-    """Return the file of a split's heaps, the set that they are of, and its objects.
+def open_split(name: str, folder: Path, objects: str = "") -> tuple[Path, HeapSet]:
+    """Return the file of a split's heaps, and the set that they are of.
 
     Args:
-        name: Of `SPLITS`.
+        name: Of `BENCHMARK_SPLITS`.
         folder: Where the heap sets are.
         objects: Object set; empty takes the one that the heaps name.
 
     Raises:
         MechSearchError: If one is missing, or the heaps are others.
     """
-    split = entry(SPLITS, "split", name)
+    split = entry(BENCHMARK_SPLITS, "split", name)
     file = folder / split.file
-    heap_set, found = open_heaps(file, objects)
+    heap_set, _ = open_heaps(file, objects)
     if heap_set.hash != split.heap_set:
         raise MechSearchError(
             f"{file} has the hash {heap_set.hash[:12]}; the split {name} is the heap set "
             f"{split.heap_set[:12]}"
         )
-    return file, heap_set, found
+    return file, heap_set
 
 
 def make_benchmark_env(
@@ -67,8 +65,8 @@ def make_benchmark_env(
     """Return the environment of a task on the heaps of a split.
 
     Args:
-        task: Of `TASKS`.
-        split: Of `SPLITS`.
+        task: Of `BENCHMARK_TASKS`.
+        split: Of `BENCHMARK_SPLITS`.
         heaps: Folder of the heap sets.
         objects: Object set; empty takes the one that the heaps name.
         keys: Observation keys; empty takes the usual ones.
@@ -80,8 +78,12 @@ def make_benchmark_env(
     Raises:
         MechSearchError: If a name is unknown, or heaps or objects are others.
     """
-    _, heap_set, object_set = open_split(split, Path(heaps), objects)
-    chosen = [heap_set.heaps[i] for i in heap_set.choose(SPLITS[split].part, SPLITS[split].limit)]
+    _, heap_set = open_split(split, Path(heaps), objects)
+    models = object_set(objects or heap_set.objects)
+    chosen = [
+        heap_set.heaps[i]
+        for i in heap_set.choose(BENCHMARK_SPLITS[split].part, BENCHMARK_SPLITS[split].limit)
+    ]
     fixed = fixed_task(task, heap_set.camera, image_size, grippers)
     usual = RETRIEVAL_KEYS if isinstance(fixed, RetrievalTask) else ACTOR_KEYS
-    return make_environment(chosen, object_set, fixed, keys or usual, privileged, render_mode)
+    return make_environment(chosen, models, fixed, keys or usual, privileged, render_mode)

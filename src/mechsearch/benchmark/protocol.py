@@ -24,12 +24,12 @@ class BenchmarkTask:
 
     Attributes:
         version: Goes up when an episode would earn another reward or end otherwise.
-        goal: "uncover" or "retrieve"; see `evaluation.policies.goal_of`.
+        retrieves: Whether the target has to get into the hand, not just into view.
         ranked_by: The score by which the table is sorted.
     """
 
     version: int
-    goal: str
+    retrieves: bool
     ranked_by: str
 
 
@@ -54,12 +54,12 @@ class Split:
     unseen: tuple[str, ...] = ()
 
 
-TASKS = {
-    "uncover": BenchmarkTask(1, "uncover", "reward"),
-    "retrieve": BenchmarkTask(1, "retrieve", "retrieved_within_1"),
+BENCHMARK_TASKS = {
+    "uncover": BenchmarkTask(1, False, "reward"),
+    "retrieve": BenchmarkTask(1, True, "retrieved_within_1"),
 }
 
-SPLITS = {
+BENCHMARK_SPLITS = {
     "single": Split(
         "ycb_single.parquet",
         "48628cf7bf1101356e3aad1e5d2b9b5feb385e357817180685e8c018dab9b146",
@@ -74,13 +74,28 @@ SPLITS = {
         300,
         "two heaps of 5 to 10 objects each",
     ),
+    "unseen": Split(
+        "ycb_unseen.parquet",
+        "0e3b90e1f819e5e7983f1399537de9f35dfd9c0ef69a886b2c07775fe870d8b7",
+        "all",
+        0,
+        "single heaps of 5 and 10 of the 13 objects that no training heap holds",
+        UNSEEN,
+    ),
+    "hidden": Split(
+        "ycb_hidden.parquet",
+        "9cd85d9ae582f1f16c353ce057704ce7cde75c9b3ece2083423df1a05fd28c69",
+        "all",
+        0,
+        "single heaps of 10 and 15 objects, and two heaps of 10, target at least 97 % hidden",
+    ),
 }
 
 Entry = TypeVar("Entry")
 
 
 def entry(table: Mapping[str, Entry], kind: str, name: str) -> Entry:
-    """Return what a name stands for in `TASKS` or `SPLITS`.
+    """Return what a name stands for in `BENCHMARK_TASKS` or `BENCHMARK_SPLITS`.
 
     Raises:
         MechSearchError: If it stands for nothing.
@@ -93,10 +108,10 @@ def entry(table: Mapping[str, Entry], kind: str, name: str) -> Entry:
 def environment_ids() -> dict[str, dict[str, str]]:
     """Return the arguments of `make_benchmark_env` by Gymnasium id."""
     return {
-        f"mechsearch/Benchmark{task.title()}{split.title()}-v{TASKS[task].version}": {
+        f"mechsearch/Benchmark{task.title()}{split.title()}-v{BENCHMARK_TASKS[task].version}": {
             "task": task,
             "split": split,
         }
-        for task in TASKS
-        for split in SPLITS
+        for task in BENCHMARK_TASKS
+        for split in BENCHMARK_SPLITS
     }

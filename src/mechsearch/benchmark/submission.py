@@ -7,7 +7,7 @@ again. What enters the table is what the replay gives.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,29 @@ from typing import Any
 import numpy as np
 
 from mechsearch.benchmark.environment import fixed_task, open_split
-from mechsearch.benchmark.protocol import HEAPS_FOLDER, SPLITS, TASKS, entry
-from mechsearch.env import HeapEnvConfig, RetrievalTask, RetrieveConfig, task_from_json
-from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, estimates, measure
-from mechsearch.evaluation.rollout import differing, play_all
+from mechsearch.benchmark.protocol import (
+    BENCHMARK_SPLITS,
+    BENCHMARK_TASKS,
+    HEAPS_FOLDER,
+    BenchmarkTask,
+    Split,
+    entry,
+)
+from mechsearch.env import HeapEnvConfig, RetrievalTask, RetrieveConfig, TaskConfig, task_from_json
+from mechsearch.evaluation.episodes import (
+    EpisodeRecord,
+    Evaluation,
+    estimates,
+    load_episodes,
+    measure,
+)
+from mechsearch.evaluation.rollout import (
+    EvaluationPlan,
+    differing,
+    evaluate_plan,
+    in_task,
+    play_all,
+)
 from mechsearch.files import (
     ARRAY_DAMAGE,
     crossed,
@@ -29,6 +48,7 @@ from mechsearch.files import (
     write_whole,
 )
 from mechsearch.findings.tables import score_table, to_markdown
+from mechsearch.heaps.dataset import load_heaps
 from mechsearch.processes import Mapper, Progress, map_in_order, silent
 from mechsearch.types import PUSH, Array, MechSearchError
 
@@ -51,9 +71,9 @@ class SubmissionCard:
     Attributes:
         name: Of the submission, which is a file's too.
         authors: Who submits it.
-        task: Of `protocol.TASKS`.
+        task: Of `protocol.BENCHMARK_TASKS`.
         task_version: The task's version.
-        split: Of `protocol.SPLITS`.
+        split: Of `protocol.BENCHMARK_SPLITS`.
         heap_set: Hash of the heap set.
         keys: Observation keys that the policy reads.
         image_size: Side of its images [px].
@@ -97,7 +117,7 @@ class SubmissionCard:
             raise MechSearchError(f"the card of {self.name} names no authors")
         if min(self.executed_actions, self.tried_actions) < 0:
             raise MechSearchError(f"the card of {self.name} counts fewer than 0 actions")
-        task, split = entry(TASKS, "task", self.task), entry(SPLITS, "split", self.split)
+        task, split = _entries(self.task, self.split)
         if self.task_version != task.version:
             raise MechSearchError(
                 f"{self.name} is of version {self.task_version} of the task {self.task}; this is "
@@ -108,16 +128,11 @@ class SubmissionCard:
                 f"{self.name} is on the heap set {self.heap_set[:12]}; the split {self.split} is "
                 f"the heap set {split.heap_set[:12]}"
             )
-        known = sorted(set(split.unseen) & set(self.training_objects))
-        if known:
-            raise MechSearchError(
-                f"{self.name} cannot enter the split {self.split}: its training heaps held "
-                f"{', '.join(known)}; see docs/benchmark.md for heaps without them"
-            )
+        _check_unseen(self.name, self.split, self.training_objects)
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimedEpisode:
     """What was done on one heap, and what is said to have come of it.
 
     Attributes:
@@ -149,8 +164,121 @@ class Submission:
     """
 
     card: SubmissionCard
-    claims: tuple[Claim, ...]
+    claims: tuple[ClaimedEpisode, ...]
     replay: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """Who enters what, as the card needs it.
+
+    Attributes:
+        task: Such as uncover.
+        split: Such as single.
+        authors: Who submits it.
+        name: Of the submission; by default the policy's own.
+        gripper: Of policies that retrieve, such as jaws-85, or several joined by a plus sign.
+        seed: Of the policy's own randomness.
+        training_heaps: Heap sets (.parquet) that the policy, or a network that it uses, learnt on;
+            their training halves count.
+        privileged: Whether training used what only a simulator knows.
+        executed: Actions executed in training; by default what a trained policy says.
+        tried: Actions tried in training in copies of the simulator.
+        weights: Where weights or code are to be had.
+    """
+
+    task: str
+    split: str
+    authors: str
+    name: str = ""
+    gripper: str = ""
+    seed: int = 0
+    training_heaps: tuple[Path, ...] = ()
+    privileged: bool = False
+    executed: int | None = None
+    tried: int = 0
+    weights: str = ""
+
+
+def act(
+    policy: str,
+    entrant: Entrant,
+    folder: Path = Path(HEAPS_FOLDER),
+    objects: str = "",
+    workers: int = 1,
+    progress: Progress = silent,
+    mapper: Mapper = map_in_order,
+) -> Submission:
+    """Return what a policy does on every heap of a split, with its card.
+
+    Args:
+        policy: As for `make_policy`, or a file of episodes recorded on the split's heaps (.npz).
+        entrant: Who enters it, and where.
+        folder: Where the heap sets are.
+        objects: Object set; empty takes the one that the heaps name.
+        workers: Processes.
+        progress: Told after each episode.
+        mapper: How the episodes are spread.
+
+    Raises:
+        MechSearchError: If the policy is not for this task, has learnt on objects that it must not
+            know, or the card is no good; as far as possible before it acts.
+    """
+    task, split = _entries(entrant.task, entrant.split)
+    file, heap_set = open_split(entrant.split, folder, objects)
+    learnt_on = [load_heaps(path) for path in entrant.training_heaps]
+    names = {name for heaps in learnt_on for heap in heaps.train for name in heap.objects}
+    _check_unseen(entrant.name or policy, entrant.split, names)
+
+    def fixed(own: TaskConfig) -> TaskConfig:
+        if isinstance(own, RetrievalTask) != task.retrieves:
+            raise MechSearchError(
+                f"{policy} {'uncovers' if task.retrieves else 'retrieves'}; expected a "
+                f"policy for the task {entrant.task}"
+            )
+        grippers = own.grippers if isinstance(own, RetrievalTask) else ()
+        return fixed_task(entrant.task, heap_set.camera, own.image_size, grippers)
+
+    if policy.endswith(SUFFIX):
+        evaluation = load_episodes(Path(policy))
+    else:
+        plan = EvaluationPlan(
+            policy, file, entrant.name, objects, split.part, split.limit, entrant.seed,
+            grippers=tuple(entrant.gripper.split("+")) if entrant.gripper else (),
+        )  # fmt: skip
+        evaluation = evaluate_plan(in_task(plan, fixed), workers, progress, mapper)
+    header = evaluation.header
+    if (header["trained"] or task.retrieves) and not learnt_on:
+        raise MechSearchError(
+            f"{header['name']} has learnt, or uses networks that have; name the heap sets by "
+            "--training-heaps"
+        )
+    told = {
+        "name": entrant.name or header["name"],
+        "authors": entrant.authors,
+        "privileged": entrant.privileged,
+        "executed_actions": (
+            header["training_actions"] if entrant.executed is None else entrant.executed
+        ),
+        "tried_actions": entrant.tried,
+        "training_heaps": tuple(heaps.hash for heaps in learnt_on),
+        "training_objects": tuple(sorted(names)),
+        "weights": entrant.weights,
+    }
+    return submission_of(evaluation, entrant.task, entrant.split, told, heap_set.camera)
+
+
+def _entries(task: str, split: str) -> tuple[BenchmarkTask, Split]:
+    return entry(BENCHMARK_TASKS, "task", task), entry(BENCHMARK_SPLITS, "split", split)
+
+
+def _check_unseen(name: str, split: str, training_objects: Iterable[str]) -> None:
+    known = sorted(set(BENCHMARK_SPLITS[split].unseen) & set(training_objects))
+    if known:
+        raise MechSearchError(
+            f"{name} cannot enter the split {split}: its training heaps held {', '.join(known)}; "
+            "docs/benchmark.md says how to make heaps without them"
+        )
 
 
 def submission_of(
@@ -160,8 +288,8 @@ def submission_of(
 
     Args:
         evaluation: The episodes.
-        task: Of `TASKS`.
-        split: Of `SPLITS`.
+        task: Of `BENCHMARK_TASKS`.
+        split: Of `BENCHMARK_SPLITS`.
         told: Fields of the card that the episodes do not say.
         camera: That of the split's heaps.
 
@@ -185,7 +313,7 @@ def submission_of(
         raise MechSearchError(f"{header['name']} acted in another task: {', '.join(others)}")
     card = SubmissionCard(
         task=task,
-        task_version=TASKS[task].version,
+        task_version=BENCHMARK_TASKS[task].version,
         split=split,
         heap_set=header["heap_set"],
         keys=tuple(header["keys"]),
@@ -200,7 +328,7 @@ def submission_of(
     return Submission(card, claims, {})
 
 
-def _claim(record: EpisodeRecord, name: str) -> Claim:
+def _claim(record: EpisodeRecord, name: str) -> ClaimedEpisode:
     actions = record.actions.copy()
     # The environments clip a push just so.
     pushes = actions[:, 0] == PUSH if record.retrieval else np.ones(len(actions), np.bool_)
@@ -208,7 +336,7 @@ def _claim(record: EpisodeRecord, name: str) -> Claim:
     actions[pushes, part] = np.clip(actions[pushes, part], -1.0, 1.0)
     # What a gripper could do before and after is no part of these tasks.
     scores = measure(replace(record, grasp=None))
-    return Claim(record.heap_seed, record.condition, name, actions, record.end, scores)
+    return ClaimedEpisode(record.heap_seed, record.condition, name, actions, record.end, scores)
 
 
 def save_submission(path: Path, submission: Submission) -> None:
@@ -262,7 +390,7 @@ def load_submission(path: Path) -> Submission:
             raise ValueError(f"{len(actions)} actions in episodes of {lengths.sum()}")
         parts = np.split(actions, np.cumsum(lengths)[:-1])
         claims = tuple(
-            Claim(int(seed), str(condition), card.name, acts, str(end),
+            ClaimedEpisode(int(seed), str(condition), card.name, acts, str(end),
                   dict(zip(text["metrics"], row.tolist(), strict=True)))
             for (seed, condition), acts, end, row in zip(
                 text["heaps"], parts, text["ends"], scores, strict=True
@@ -325,8 +453,8 @@ def verified(
             many episodes come out otherwise; it names the first and by how much.
     """
     card = submission.card
-    file, heap_set, _ = open_split(card.split, folder, objects)
-    split = SPLITS[card.split]
+    file, heap_set = open_split(card.split, folder, objects)
+    split = BENCHMARK_SPLITS[card.split]
     chosen = [heap_set.heaps[i] for i in heap_set.choose(split.part, split.limit)]
     _check_heaps(submission, [(heap.seed, heap.condition) for heap in chosen])
     _check_bounds(submission)
@@ -388,7 +516,7 @@ def _check_bounds(submission: Submission) -> None:
             )
 
 
-def _differences(claim: Claim, found: Claim) -> tuple[str, float]:
+def _differences(claim: ClaimedEpisode, found: ClaimedEpisode) -> tuple[str, float]:
     """Return in what a claim differs from what was found, and the largest distance of a score."""
     said, furthest = [], 0.0
     if len(found.actions) != len(claim.actions):
@@ -444,8 +572,8 @@ def entered(results: Path) -> Iterator[Submission]:
     Raises:
         MechSearchError: If a file is damaged, stands in another's place, or was not verified.
     """
-    for task in TASKS:
-        for split in SPLITS:
+    for task in BENCHMARK_TASKS:
+        for split in BENCHMARK_SPLITS:
             for path in sorted((results / task / split).glob(f"*{SUFFIX}")):
                 submission = load_submission(path)
                 _check_verified(path, submission)
@@ -461,8 +589,8 @@ def entered(results: Path) -> Iterator[Submission]:
 def page(submissions: Sequence[Submission]) -> str:
     """Return the page of all submissions, in Markdown: a table for each task and split."""
     parts = ["# Benchmark: submissions\n\n" + _HEAD]
-    for task in TASKS:
-        for split, known in SPLITS.items():
+    for task in BENCHMARK_TASKS:
+        for split, known in BENCHMARK_SPLITS.items():
             here = [s for s in submissions if (s.card.task, s.card.split) == (task, split)]
             if here:
                 parts.append(f"## `{task}`, `{split}`\n\n{_table(task, known.what, here)}")
@@ -472,7 +600,7 @@ def page(submissions: Sequence[Submission]) -> str:
 def _table(task: str, what: str, submissions: Sequence[Submission]) -> str:
     cards = {s.card.name: s.card for s in submissions}
     scores = {s.card.name: estimates([c.scores for c in s.claims]) for s in submissions}
-    key = TASKS[task].ranked_by
+    key = BENCHMARK_TASKS[task].ranked_by
     ranked = dict(sorted(scores.items(), key=lambda item: (-item[1][key].mean, item[0])))
     facts = {
         "by": [cards[name].authors for name in ranked],

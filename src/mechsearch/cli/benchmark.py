@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
-from mechsearch.benchmark.environment import fixed_task, open_split
-from mechsearch.benchmark.protocol import HEAPS_FOLDER, SPLITS, TASKS, entry
+from mechsearch.benchmark.protocol import BENCHMARK_SPLITS, BENCHMARK_TASKS, HEAPS_FOLDER
 from mechsearch.benchmark.submission import (
     SUFFIX,
+    Entrant,
+    act,
     check_free,
     enter,
     entered,
@@ -17,17 +18,10 @@ from mechsearch.benchmark.submission import (
     page,
     place_of,
     save_submission,
-    submission_of,
     verified,
 )
-from mechsearch.cli.command import Command, OfObjects, Spread, bars, say_table, wrote
-from mechsearch.env import RetrievalTask, TaskConfig
-from mechsearch.evaluation.episodes import load_episodes
-from mechsearch.evaluation.policies import RETRIEVE
-from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, in_task
+from mechsearch.cli.command import FLAT, Command, OfObjects, Spread, bars, say_table, wrote
 from mechsearch.files import check_place, write_text
-from mechsearch.heaps.dataset import load_heaps
-from mechsearch.types import MechSearchError
 
 _RESULTS = Path("results/benchmark")
 
@@ -44,12 +38,14 @@ class ListSplits(Command):
 
     def run(self) -> None:
         """Print both tables."""
-        tasks = [(name, str(task.version), task.ranked_by) for name, task in TASKS.items()]
+        tasks = [
+            (name, str(task.version), task.ranked_by) for name, task in BENCHMARK_TASKS.items()
+        ]
         say_table("Tasks", ("task", "version", "sorted by"), tasks)
         rows = [
             (name, split.what, split.file, split.heap_set[:12],
              "yes" if (self.heaps / split.file).is_file() else "no")
-            for name, split in SPLITS.items()
+            for name, split in BENCHMARK_SPLITS.items()
         ]  # fmt: skip
         columns = ("split", "heaps", "file", "sha256", f"in {self.heaps}")
         say_table("Splits", columns, rows)
@@ -61,91 +57,26 @@ class RunBenchmark(OfObjects, Spread):
 
     Attributes:
         policy: As for `mechsearch evaluate`, or episodes recorded on those heaps (.npz).
-        task: Such as uncover; see `mechsearch benchmark list`.
-        split: Such as single.
-        authors: Who submits it.
+        entrant: Who enters it, and where.
         out: Submission to write (.npz); by default NAME-TASK-SPLIT.npz.
-        name: Of the submission; by default the policy's own.
         heaps: Folder of the heap sets.
-        gripper: Of policies that retrieve, such as jaws-85, or several joined by a plus sign.
-        seed: Of the policy's own randomness.
-        training_heaps: Heap sets (.parquet) that the policy, or a network that it uses, learnt on;
-            their training halves count.
-        privileged: Whether training used what only a simulator knows.
-        executed: Actions executed in training; by default what a trained policy says.
-        tried: Actions tried in training in copies of the simulator.
-        weights: Where weights or code are to be had.
     """
 
     policy: Annotated[str, tyro.conf.Positional]
-    task: str
-    split: str
-    authors: str
+    entrant: Annotated[Entrant, FLAT]
     out: Path | None = None
-    name: str = ""
     heaps: Path = Path(HEAPS_FOLDER)
-    gripper: str = ""
-    seed: int = 0
-    training_heaps: tuple[Path, ...] = ()
-    privileged: bool = False
-    executed: int | None = None
-    tried: int = 0
-    weights: str = ""
 
     def run(self) -> None:
         """Act, or read what was recorded, and write the submission."""
-        goal = entry(TASKS, "task", self.task).goal
-        file, heap_set, _ = open_split(self.split, self.heaps, self.objects)
-        learnt_on = [load_heaps(path) for path in self.training_heaps]
-        objects = {name for heaps in learnt_on for heap in heaps.train for name in heap.objects}
-        known = sorted(objects & set(SPLITS[self.split].unseen))
-        if known:
-            raise MechSearchError(
-                f"the training heaps held {', '.join(known)}, which no policy has seen that enters "
-                f"the split {self.split}"
-            )
         if self.out:
             check_place(self.out)
-
-        def fixed(own: TaskConfig) -> TaskConfig:
-            if isinstance(own, RetrievalTask) != (goal == RETRIEVE):
-                raise MechSearchError(
-                    f"{self.policy} is not a policy for the task {self.task}; expected one whose "
-                    f"goal is to {goal}"
-                )
-            grippers = own.grippers if isinstance(own, RetrievalTask) else ()
-            return fixed_task(self.task, heap_set.camera, own.image_size, grippers)
-
-        if self.policy.endswith(SUFFIX):
-            evaluation = load_episodes(Path(self.policy))
-        else:
-            split = SPLITS[self.split]
-            plan = EvaluationPlan(
-                self.policy, file, self.name, self.objects, split.part, split.limit, self.seed,
-                grippers=tuple(self.gripper.split("+")) if self.gripper else (),
-            )  # fmt: skip
-            plan = in_task(plan, fixed)
-            with self.spread() as (workers, mapper), bars() as progress:
-                evaluation = evaluate_plan(plan, workers, progress, mapper)
-        header = evaluation.header
-        if (header["trained"] or goal == RETRIEVE) and not learnt_on:
-            raise MechSearchError(
-                f"{header['name']} learnt, or uses networks that did; name the heap sets by "
-                "--training-heaps"
+        with self.spread() as (workers, mapper), bars() as progress:
+            made = act(
+                self.policy, self.entrant, self.heaps, self.objects, workers, progress, mapper
             )
-        executed = header["training_actions"] if self.executed is None else self.executed
-        told: dict[str, Any] = {
-            "name": self.name or header["name"],
-            "authors": self.authors,
-            "privileged": self.privileged,
-            "executed_actions": executed,
-            "tried_actions": self.tried,
-            "training_heaps": tuple(heaps.hash for heaps in learnt_on),
-            "training_objects": tuple(sorted(objects)),
-            "weights": self.weights,
-        }
-        made = submission_of(evaluation, self.task, self.split, told, heap_set.camera)
-        out = self.out or Path(f"{made.card.name}-{self.task}-{self.split}{SUFFIX}")
+        card = made.card
+        out = self.out or Path(f"{card.name}-{card.task}-{card.split}{SUFFIX}")
         save_submission(out, made)
         wrote(out)
 

@@ -569,7 +569,7 @@ def replay_all(
         yield EpisodeCheck(record.heap_seed, found)
 
 
-class Acted(Protocol):
+class RecordedActions(Protocol):
     """An episode of which what was done is known, whatever came of it; see `EpisodeRecord`."""
 
     @property
@@ -591,7 +591,7 @@ class Acted(Protocol):
 
 def play_all(
     name: str,
-    episodes: Sequence[Acted],
+    episodes: Sequence[RecordedActions],
     config: HeapEnvConfig,
     heaps: Path,
     objects: str = "",
@@ -648,7 +648,7 @@ def _first(before: Array, now: Array) -> int:
     return int(np.argmax((before.reshape(rows) != now.reshape(rows)).any(axis=1)))
 
 
-def _failed(record: Acted, failure: Failure) -> str:
+def _failed(record: RecordedActions, failure: Failure) -> str:
     return failure.reason
 
 
@@ -661,7 +661,7 @@ class _Play:
     config: HeapEnvConfig
     idle: bool
 
-    def __call__(self, record: Acted) -> EpisodeRecord | str:
+    def __call__(self, record: RecordedActions) -> EpisodeRecord | str:
         env = self._env
         named = (record.heap_seed, record.condition)
         found = [i for i, h in enumerate(env.heaps) if (h.seed, h.condition) == named]
