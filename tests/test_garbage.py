@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mechsearch.algorithm import RunConfig
+from mechsearch.benchmark.submission import load_submission
 from mechsearch.cli import main
 from mechsearch.evaluation import episodes
 from mechsearch.files import read_json
@@ -77,6 +78,7 @@ grasp ceiling --gripper suction --heaps HEAPS --networks FILE
 READERS = {
     "heaps.parquet": dataset.load_heaps,
     "episodes.npz": episodes.load_episodes,
+    "submission.npz": load_submission,
     "config.json": load_config,
     "actor.safetensors": load_policy,
     "plus.safetensors": load_policy,

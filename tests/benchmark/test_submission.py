@@ -18,6 +18,7 @@ from mechsearch.benchmark.protocol import (
     environment_ids,
 )
 from mechsearch.cli import main
+from mechsearch.evaluation.episodes import save_episodes
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
 from mechsearch.heaps.dataset import embedded_file, load_heaps
 from mechsearch.types import MechSearchError
@@ -116,7 +117,7 @@ def test_every_heap_of_the_split_has_one_episode(straight):
     foreign = replace(first, heap_seed=1)
     cases = [
         (rest, f"heap {first.heap_seed} has no episode"),
-        ([foreign, *rest], "heap 1 is not of the split tiny"),
+        ([foreign, *rest], "heap 1 is not one of the split tiny"),
         ([first, first, *rest], f"heap {first.heap_seed} has more than one episode"),
     ]
     for claims, words in cases:
@@ -283,3 +284,38 @@ def test_the_committed_table_is_what_the_committed_submissions_give():
     found = list(submissions.entered(ROOT / "results" / "benchmark"))
     assert found
     assert (ROOT / "docs" / "benchmark-table.md").read_text() == submissions.page(found)
+
+
+@pytest.mark.parametrize(
+    ("policy", "change", "words"),
+    [
+        ("idle", {"task": "retrieve"}, "idle .* name the heap sets by --training-heaps"),
+        ("single", {}, "single has learnt, .* --training-heaps"),
+        ("idle", {"authors": ""}, "idle names no authors"),
+        ("nobody", {}, "unknown policy 'nobody'"),
+    ],
+)
+def test_who_cannot_enter_is_told_before_anything_is_played(policy, change, words, monkeypatch):
+    monkeypatch.setattr(submissions, "evaluate_plan", None)
+    entrant = submissions.Entrant(**({"task": "uncover", "split": "tiny", "authors": "A"} | change))
+    with pytest.raises(MechSearchError, match=words):
+        submissions.act(policy, entrant, FOLDER)
+
+
+def test_a_policy_of_another_goal_is_told_so(monkeypatch):
+    monkeypatch.setattr(submissions, "evaluate_plan", None)
+    entrant = submissions.Entrant("retrieve", "tiny", "A", training_heaps=(embedded_file("dual"),))
+    with pytest.raises(MechSearchError, match="idle uncovers; expected a policy for the task retr"):
+        submissions.act("idle", entrant, FOLDER)
+
+
+def test_a_policy_that_runs_is_what_it_recorded_elsewhere(straight, tmp_path):
+    entrant = submissions.Entrant("uncover", "tiny", "A. Tester", name="straight")
+    acted = submissions.act("teacher-straight", entrant, FOLDER)
+    assert acted.card == straight.card
+    assert [c.scores for c in acted.claims] == [c.scores for c in straight.claims]
+    save_episodes(tmp_path / "few.npz", replace(few := recorded(), episodes=few.episodes[:2]))
+    with pytest.raises(
+        MechSearchError, match="has no episode in the split tiny; expected one episode"
+    ):
+        submissions.act(str(tmp_path / "few.npz"), entrant, FOLDER)

@@ -84,7 +84,7 @@ BENCHMARK_SPLITS = {
     ),
     "hidden": Split(
         "ycb_hidden.parquet",
-        "9cd85d9ae582f1f16c353ce057704ce7cde75c9b3ece2083423df1a05fd28c69",
+        "abc0df680716688893c28e1edab96190a0f649c5aeb751c37c666a625235d4a1",
         "all",
         0,
         "single heaps of 10 and 15 objects, and two heaps of 10, target at least 97 % hidden",

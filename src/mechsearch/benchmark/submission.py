@@ -31,6 +31,7 @@ from mechsearch.evaluation.episodes import (
     load_episodes,
     measure,
 )
+from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import (
     EvaluationPlan,
     differing,
@@ -48,7 +49,7 @@ from mechsearch.files import (
     write_whole,
 )
 from mechsearch.findings.tables import score_table, to_markdown
-from mechsearch.heaps.dataset import load_heaps
+from mechsearch.heaps.dataset import HeapSet, load_heaps
 from mechsearch.processes import Mapper, Progress, map_in_order, silent
 from mechsearch.types import PUSH, Array, MechSearchError
 
@@ -228,7 +229,10 @@ def act(
     file, heap_set = open_split(entrant.split, folder, objects)
     learnt_on = [load_heaps(path) for path in entrant.training_heaps]
     names = {name for heaps in learnt_on for heap in heaps.train for name in heap.objects}
-    _check_unseen(entrant.name or policy, entrant.split, names)
+    name = entrant.name or policy
+    _check_unseen(name, entrant.split, names)
+    if not entrant.authors.strip():
+        raise MechSearchError(f"{name} names no authors")
 
     def fixed(own: TaskConfig) -> TaskConfig:
         if isinstance(own, RetrievalTask) != task.retrieves:
@@ -241,18 +245,20 @@ def act(
 
     if policy.endswith(SUFFIX):
         evaluation = load_episodes(Path(policy))
+        learnt = evaluation.header["trained"]
     else:
+        learnt = hasattr(make_policy(policy), "training_actions")
+    if (learnt or task.retrieves) and not learnt_on:
+        raise MechSearchError(
+            f"{name} has learnt, or uses networks that have; name the heap sets by --training-heaps"
+        )
+    if not policy.endswith(SUFFIX):
         plan = EvaluationPlan(
             policy, file, entrant.name, objects, split.part, split.limit, entrant.seed,
             grippers=tuple(entrant.gripper.split("+")) if entrant.gripper else (),
         )  # fmt: skip
         evaluation = evaluate_plan(in_task(plan, fixed), workers, progress, mapper)
     header = evaluation.header
-    if (header["trained"] or task.retrieves) and not learnt_on:
-        raise MechSearchError(
-            f"{header['name']} has learnt, or uses networks that have; name the heap sets by "
-            "--training-heaps"
-        )
     told = {
         "name": entrant.name or header["name"],
         "authors": entrant.authors,
@@ -265,7 +271,9 @@ def act(
         "training_objects": tuple(sorted(names)),
         "weights": entrant.weights,
     }
-    return submission_of(evaluation, entrant.task, entrant.split, told, heap_set.camera)
+    made = submission_of(evaluation, entrant.task, entrant.split, told, heap_set.camera)
+    _check_heaps(made, heap_set)
+    return made
 
 
 def _entries(task: str, split: str) -> tuple[BenchmarkTask, Split]:
@@ -454,9 +462,7 @@ def verified(
     """
     card = submission.card
     file, heap_set = open_split(card.split, folder, objects)
-    split = BENCHMARK_SPLITS[card.split]
-    chosen = [heap_set.heaps[i] for i in heap_set.choose(split.part, split.limit)]
-    _check_heaps(submission, [(heap.seed, heap.condition) for heap in chosen])
+    _check_heaps(submission, heap_set)
     _check_bounds(submission)
     elsewhere = crossed(card.fingerprint, now := fingerprint())
     config = _config(card.task, heap_set.camera, card.image_size, card.grippers)
@@ -487,18 +493,22 @@ def verified(
     )
 
 
-def _check_heaps(submission: Submission, expected: Sequence[tuple[int, str]]) -> None:
+def _check_heaps(submission: Submission, heap_set: HeapSet) -> None:
+    split = BENCHMARK_SPLITS[submission.card.split]
+    chosen = [heap_set.heaps[i] for i in heap_set.choose(split.part, split.limit)]
+    expected = [(heap.seed, heap.condition) for heap in chosen]
     claimed = [(claim.heap_seed, claim.condition) for claim in submission.claims]
     counts = Counter(claimed)
     foreign = [heap for heap in claimed if heap not in set(expected)]
     twice = [heap for heap, times in counts.items() if times > 1]
     missing = [heap for heap in expected if heap not in counts]
-    for heaps, what in ((foreign, "is not of the split"), (twice, "has more than one episode"),
-                        (missing, "has no episode")):  # fmt: skip
+    for heaps, what in ((foreign, "is not one of"), (twice, "has more than one episode in"),
+                        (missing, "has no episode in")):  # fmt: skip
         if heaps:
             more = f", and {len(heaps) - 1} more" if len(heaps) > 1 else ""
             raise MechSearchError(
-                f"{submission.card.name}: heap {heaps[0][0]} {what} {submission.card.split}{more}; "
+                f"{submission.card.name}: heap {heaps[0][0]} {what} the split "
+                f"{submission.card.split}{more}; "
                 f"expected one episode on each of its {len(expected)} heaps"
             )
 

@@ -236,7 +236,7 @@ def join_heaps(sets: Sequence[HeapSet], path: Path) -> HeapSet:
     drops = sum(sum(one.manifest["attempts"].values()) for one in sets)
     manifest = {
         "format": HEAPS_FORMAT,
-        "config": {"seed": None, **shared, "condition": conditions},
+        "config": {"seed": None, **shared, "condition": conditions, "heaps": len(heaps)},
         "engine": first.manifest["engine"],
         "object_hashes": hashes,
         "acceptance_rate": len(heaps) / max(drops, 1),
