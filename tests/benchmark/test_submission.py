@@ -319,3 +319,27 @@ def test_a_policy_that_runs_is_what_it_recorded_elsewhere(straight, tmp_path):
         MechSearchError, match="has no episode in the split tiny; expected one episode"
     ):
         submissions.act(str(tmp_path / "few.npz"), entrant, FOLDER)
+
+
+def test_the_commands_list_run_and_table(tmp_path, capsys):
+    main(["benchmark", "list", "--heaps", str(FOLDER)])
+    said = capsys.readouterr().out
+    for name, split in BENCHMARK_SPLITS.items():
+        line = next(line for line in said.splitlines() if line.startswith(f"{name} "))
+        assert split.heap_set[:12] in line
+        assert line.endswith("yes" if name in ("tiny", "other") else "no")
+    made, results, out = tmp_path / "idle.npz", tmp_path / "results", tmp_path / "table.md"
+    main(["benchmark", "run", "idle", "--task", "uncover", "--split", "tiny", "--authors", "A",
+          "--heaps", str(FOLDER), "--out", str(made), "--workers", "1"])  # fmt: skip
+    main(["benchmark", "submit", str(made), "--heaps", str(FOLDER), "--results", str(results),
+          "--workers", "1"])  # fmt: skip
+    main(["benchmark", "table", "--results", str(results), "--out", str(out)])
+    # Fifty actions of half a point each, on every heap.
+    assert (
+        "| idle | A | ee position | none | not available | \N{MINUS SIGN}25.0 (" in out.read_text()
+    )
+    stray = results / "retrieve" / "tiny" / "idle.npz"
+    stray.parent.mkdir(parents=True)
+    stray.write_bytes((results / "uncover" / "tiny" / "idle.npz").read_bytes())
+    with pytest.raises(MechSearchError, match="it belongs in"):
+        list(submissions.entered(results))

@@ -64,3 +64,17 @@ def test_text_columns_line_up() -> None:
         "a       1 (0 to 2)",
         "longer  2",
     ]
+
+
+def test_markdown_has_a_row_a_line_and_intervals_behind_their_means() -> None:
+    table = Table(
+        "Two.", ("policy", "reward"), (("a", f"{MINUS}1.0\n{MINUS}2.0 to 0.0"), ("b", ""))
+    )
+    assert tables.to_markdown(table).splitlines() == [
+        "Two.",
+        "",
+        "| policy | reward |",
+        "| --- | --- |",
+        f"| a | {MINUS}1.0 ({MINUS}2.0 to 0.0) |",
+        "| b |  |",
+    ]
