@@ -2,6 +2,7 @@ import csv
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -18,8 +19,11 @@ from mechsearch.benchmark.protocol import (
     environment_ids,
 )
 from mechsearch.cli import main
+from mechsearch.env import Decision
 from mechsearch.evaluation.episodes import save_episodes
+from mechsearch.evaluation.policies import make_policy
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan
+from mechsearch.geometry import yaw_quaternion
 from mechsearch.heaps.dataset import embedded_file, load_heaps
 from mechsearch.types import MechSearchError
 
@@ -290,12 +294,16 @@ def test_the_committed_table_is_what_the_committed_submissions_give():
     ("policy", "change", "words"),
     [
         ("idle", {"task": "retrieve"}, "idle .* name the heap sets by --training-heaps"),
-        ("single", {}, "single has learnt, .* --training-heaps"),
+        ("learnt", {}, "learnt has learnt, .* --training-heaps"),
         ("idle", {"authors": ""}, "idle names no authors"),
         ("nobody", {}, "unknown policy 'nobody'"),
     ],
 )
 def test_who_cannot_enter_is_told_before_anything_is_played(policy, change, words, monkeypatch):
+    known = {"learnt": SimpleNamespace(training_actions=9)}
+    monkeypatch.setattr(
+        submissions, "make_policy", lambda name: known.get(name) or make_policy(name)
+    )
     monkeypatch.setattr(submissions, "evaluate_plan", None)
     entrant = submissions.Entrant(**({"task": "uncover", "split": "tiny", "authors": "A"} | change))
     with pytest.raises(MechSearchError, match=words):
@@ -343,3 +351,40 @@ def test_the_commands_list_run_and_table(tmp_path, capsys):
     stray.write_bytes((results / "uncover" / "tiny" / "idle.npz").read_bytes())
     with pytest.raises(MechSearchError, match="it belongs in"):
         list(submissions.entered(results))
+
+
+class GraspsTheMiddle:
+    """Grasps from above, at the middle of the table, again and again."""
+
+    goal, keys = "retrieve", ("ee_position",)
+
+    def reset(self, rng):
+        self._rng = rng
+
+    def act(self, obs):
+        turn = yaw_quaternion(self._rng.uniform(0, np.pi))
+        return Decision.grasp([*self._rng.uniform(-0.05, 0.05, 2), 0.03, *turn]).vector()
+
+
+def test_lifts_are_played_again_and_one_that_was_not_is_refused(splits, tmp_path):
+    plan = EvaluationPlan(GraspsTheMiddle(), FOLDER / splits["tiny"].file, limit=3)
+    told = {**TOLD, "name": "middle"}
+    made = submissions.submission_of(evaluate_plan(plan), "retrieve", "tiny", told, "overhead")
+    assert made.card.grippers == ("jaws-85",)
+    submissions.save_submission(tmp_path / "a.npz", made)
+    read = submissions.load_submission(tmp_path / "a.npz")
+    found = submissions.verified(read, FOLDER)
+    assert [c.actions.tobytes() for c in found.claims] == [c.actions.tobytes() for c in made.claims]
+    failed = next(i for i, c in enumerate(made.claims) if c.end == "budget")
+    lifted = replace(
+        made.claims[failed],
+        end="retrieved",
+        scores={**made.claims[failed].scores, "retrieved_within_5": 1.0},
+    )
+    claims = (*made.claims[:failed], lifted, *made.claims[failed + 1 :])
+    words = "end 'retrieved' claimed, 'budget' found, retrieved_within_5 1 claimed, 0 found"
+    with pytest.raises(MechSearchError, match=words):
+        submissions.verified(replace(made, claims=claims), FOLDER)
+    bent = replace(lifted, actions=made.claims[failed].actions + np.eye(9)[2])
+    with pytest.raises(MechSearchError, match="is out of reach"):
+        submissions.verified(replace(made, claims=(bent, *made.claims[1:])), FOLDER)
