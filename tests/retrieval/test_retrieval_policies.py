@@ -9,7 +9,8 @@ from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.policies import RETRIEVAL, check_view, make_policy
 from mechsearch.evaluation.rollout import evaluate, run_episode
 from mechsearch.retrieval import grasper as room
-from mechsearch.retrieval.policies import ClearThenGrasp, GraspOnly, UncoverThenGrasp, occluders
+from mechsearch.retrieval.grasper import occluders
+from mechsearch.retrieval.policies import ClearThenGrasp, GraspOnly, UncoverThenGrasp
 from mechsearch.types import GRASP, OCCLUSION_KEY, PUSH, REMOVE, RETRIEVAL_KEYS, MechSearchError
 from tests.retrieval.middle_planner import MiddlePlanner, segments_of
 

@@ -8,8 +8,8 @@ import tyro
 
 from mechsearch.cli.command import (
     FLAT,
-    Command,
     PICTURES,
+    Command,
     OfObjects,
     Parallel,
     Spread,

@@ -1,13 +1,14 @@
-"""What a robot's grippers could grasp of what it sees, and what it remembers of failed grasps."""
+"""What grippers could grasp of what is seen, what failed before, and what lies on the target."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from mechsearch.env import reachable
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import GraspView, segment_view
+from mechsearch.grasp.grasp_view import GraspView, segment_view, surroundings
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
 from mechsearch.types import Array, Floats, MechSearchError, Observation
 
@@ -28,6 +29,12 @@ drawn from the better half on training heaps; once this is known, how near they 
 
 _UNSEEN = (0.0, 0.0, 0.03)
 """Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
+
+_BESIDE = 3
+"""Pixels around the target within which another object's edge counts as touching it."""
+
+_HIGHER = 0.004
+"""By which an object at the target's edge is above it to hide a part of it [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,3 +160,39 @@ class Grasper:
             alike = np.abs(closing @ failed.closing) > _TURN
             same |= near & alike & (failed.gripper == gripper)
         return same
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """An object at the edge of the target's visible part, and above it there.
+
+    Attributes:
+        segment: Its number.
+        height: Greatest height of its visible part over the table, up to a constant [m].
+    """
+
+    segment: int
+    height: float
+
+
+def occluders(depth: Array, segments: Array) -> list[Occluder]:
+    """Return what seems to lie on the target, the topmost first.
+
+    Args:
+        depth: Of the fixed camera (H, W) [m].
+        segments: What each pixel shows (H, W); the target is 1.
+    """
+    target = segments == TARGET
+    if not target.any():
+        return []
+    part = surroundings(target, _BESIDE + 1)
+    own, near, numbers = target[part], depth[part], segments[part]
+    edge = binary_dilation(own, iterations=_BESIDE) & ~own
+    found = []
+    for number in np.unique(numbers[edge & (numbers > TARGET)]).tolist():
+        beside = edge & (numbers == number)
+        around = binary_dilation(beside, iterations=_BESIDE + 1) & own
+        # The target's own depth there, from the pixels of it that are closest.
+        if around.any() and near[beside].mean() < near[around].mean() - _HIGHER:
+            found.append(Occluder(number, -float(depth[segments == number].min())))
+    return sorted(found, key=lambda occluder: -occluder.height)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from mechsearch.camera import preset
 from mechsearch.env import (
@@ -23,10 +22,10 @@ from mechsearch.env import (
     roll_out,
 )
 from mechsearch.evaluation.policies import RETRIEVE, policy_named
-from mechsearch.grasp.grasp_view import GraspView, surroundings
+from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.pushes.push import PlannedPush, draw_pushes, look
-from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper
+from mechsearch.retrieval.grasper import Candidate, Grasper, occluders
 from mechsearch.types import (
     ACTOR_KEYS,
     BUDGET_KEYS,
@@ -40,14 +39,8 @@ from mechsearch.types import (
     select,
 )
 
-_BESIDE = 3
-"""Pixels around the target within which another object's edge counts as touching it."""
-
 _SAME = 0.02
 """Distance between the poses, as vectors (7,), up to which two removals are the same."""
-
-_HIGHER = 0.004
-"""By which an object at the target's edge is above it to hide a part of it [m]."""
 
 
 class GraspOnly:
@@ -141,42 +134,6 @@ class ClearThenGrasp(GraspOnly):
     def _is_new(self, candidate: Candidate) -> bool:
         away = [np.linalg.norm(candidate.pose - pose) for pose in self._tried]
         return bool(min(away, default=np.inf) > _SAME)
-
-
-@dataclass(frozen=True)
-class Occluder:
-    """An object at the edge of the target's visible part, and above it there.
-
-    Attributes:
-        segment: Its number.
-        height: Greatest height of its visible part over the table, up to a constant [m].
-    """
-
-    segment: int
-    height: float
-
-
-def occluders(depth: Array, segments: Array) -> list[Occluder]:
-    """Return what seems to lie on the target, the topmost first.
-
-    Args:
-        depth: Of the fixed camera (H, W) [m].
-        segments: What each pixel shows (H, W); the target is 1.
-    """
-    target = segments == TARGET
-    if not target.any():
-        return []
-    part = surroundings(target, _BESIDE + 1)
-    own, near, numbers = target[part], depth[part], segments[part]
-    edge = binary_dilation(own, iterations=_BESIDE) & ~own
-    found = []
-    for number in np.unique(numbers[edge & (numbers > TARGET)]).tolist():
-        beside = edge & (numbers == number)
-        around = binary_dilation(beside, iterations=_BESIDE + 1) & own
-        # The target's own depth there, from the pixels of it that are closest.
-        if around.any() and near[beside].mean() < near[around].mean() - _HIGHER:
-            found.append(Occluder(number, -float(depth[segments == number].min())))
-    return sorted(found, key=lambda occluder: -occluder.height)
 
 
 _ACTION = 0.01

@@ -14,8 +14,7 @@ from mechsearch.env import Decision, TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
 from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look
-from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper
-from mechsearch.retrieval.policies import occluders
+from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper, occluders
 from mechsearch.retrieval_values.value import RetrievalValue
 from mechsearch.retrieval_values.view import (
     Option,
