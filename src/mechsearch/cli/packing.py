@@ -14,6 +14,7 @@ from mechsearch.files import (
     CONFIG_FILE,
     INPUTS_FILE,
     METRICS_FILE,
+    POLICY_FILE,
     read_lines,
     read_record,
     write_json,
@@ -53,13 +54,14 @@ class Pack(Command):
         config = read_record(self.run_directory / CONFIG_FILE, "training configuration")
         inputs = read_record(self.run_directory / INPUTS_FILE, "record of a run's inputs")
         header = evaluation.header
-        told = (("name", config["name"]), ("training_seed", config["seed"]))
-        for name, value in (*told, ("training_actions", actions)):
-            if header[name] != value:
-                raise MechSearchError(
-                    f"{self.scores} are of another policy than {self.run_directory}: {name} is "
-                    f"{header[name]!r}, not {value!r}"
-                )
+        actor = hashlib.sha256((self.run_directory / POLICY_FILE).read_bytes()).hexdigest()
+        own = {"actor": actor, "training_seed": config["seed"], "training_actions": actions}
+        if any(header.get(name) != value for name, value in own.items()):
+            raise MechSearchError(
+                f"{self.scores} are of another policy than {self.run_directory}: of "
+                f"{header['name']!r} after {header['training_actions']} actions, training seed "
+                f"{header['training_seed']}; score this one by `mechsearch evaluate`"
+            )
         lines = read_lines(self.run_directory / METRICS_FILE)
         simulated = max((int(line.get("simulated", 0)) for line in lines), default=0)
         return {
