@@ -185,7 +185,10 @@ class ObservationWrapper:
         self.policy, self.keys, self.goal = policy, policy.keys, goal_of(policy)
         view = _view_of(policy, run)
         self.camera, self.image_size = view.get("camera"), view.get("image_size")
-        self._workspace = task_of(policy, run, TaskConfig.camera).workspace
+        task = task_of(policy, run, TaskConfig.camera)
+        self._workspace = task.workspace
+        if isinstance(task, RetrievalTask):
+            self.equip(task.grippers)
 
     def equip(self, grippers: tuple[str, ...]) -> None:
         """Take the names of the robot's grippers, if it retrieves."""
@@ -220,7 +223,8 @@ def make_policy(spec: str | Path) -> Policy:
     """Return the policy that a text names, for a robot or an environment.
 
     Those that are trained, teachers, and those that grasp are handed nothing that they cannot read:
-    see `ObservationWrapper`.
+    see `ObservationWrapper`. One that retrieves has the grippers of its training, or the
+    usual one, until `equip` names others.
 
     Args:
         spec: "random", "idle", "look-ahead", or "teacher-" and a name in `teachers.TEACHERS`;
