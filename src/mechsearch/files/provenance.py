@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +22,7 @@ def fingerprint(threads: int = 1) -> dict[str, str]:
         "python": platform.python_version(),
         "system": platform.system(),
         "processor": platform.machine(),
+        "processor model": _model(),
         "vector units": " ".join((*simd["baseline"], *simd.get("found", ()))),
         "threads": str(threads),
     }
@@ -53,6 +55,17 @@ def mixed(found: Mapping[str, Mapping[str, str]]) -> list[str]:
         "or versions: bits differ by rounding."
         for differences, who in names.items()
     ]
+
+
+def _model() -> str:
+    """Return the processor's maker, family and model: BLAS and libm choose their code by them."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").partition("\n\n")[0].splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    told = {name.strip(): value.strip() for name, _, value in (x.partition(":") for x in lines)}
+    names = ("vendor_id", "cpu family", "model")
+    return " ".join(told[n] for n in names if n in told) or platform.processor() or "unknown"
 
 
 def _version(package: str) -> str:
