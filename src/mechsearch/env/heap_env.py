@@ -76,7 +76,7 @@ class HeapEnv(SceneEnv[World]):
         index = scene.reset(self.np_random, options)
         self._actions = 0
         self._over = False
-        return scene.observe(), {"occlusion": scene.occlusion, "heap": index}
+        return scene.observe(0), {"occlusion": scene.occlusion, "heap": index}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Execute one action.
@@ -125,7 +125,7 @@ class HeapEnv(SceneEnv[World]):
         """
         self._actions, over = self._scene.restore(snapshot, ("actions", "over"))
         self._over = bool(over)
-        return self._scene.observe()
+        return self._scene.observe(self._actions)
 
     def _world_of(self, models: Sequence[ObjectModel]) -> World:
         config = self.config
@@ -150,7 +150,7 @@ class HeapEnv(SceneEnv[World]):
             "target_moved": target_moved,
         }
         truncated = self._over and not terminated
-        return scene.observe(), float(sum(reward.values())), terminated, truncated, info
+        return scene.observe(self._actions), float(sum(reward.values())), terminated, truncated, info
 
 
 def make_env(

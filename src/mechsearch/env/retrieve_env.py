@@ -11,10 +11,10 @@ from mechsearch.env.decision import Decision, DecisionSpace, reachable
 from mechsearch.env.scene import HeapScene, SceneEnv, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import grasp_camera, see_heap
+from mechsearch.grasp.grasp_view import grasp_camera, numbered
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.observe.observation import KEYS, KINDS
+from mechsearch.observe.observation import KEYS, KINDS, without_holes
 from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
 from mechsearch.types import (
     BUDGET_KEYS,
@@ -222,13 +222,17 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
 
     def _observe(self) -> dict[str, Array]:
         scene, keys = self._scene, self.config.all_keys
-        seen = scene.observe()
+        step = sum(self._spent)
+        seen = scene.observe(step)
         if any(key in GRASP_KEYS for key in keys):
             poses = scene.poses.copy()
             # What is gone is out of view.
             poses[~scene.present, 0] += 10.0
-            view = see_heap(scene.renderer, poses, scene.heap.target)
-            seen["grasp_depth"], seen["segments"] = view.depth, view.segments
+            depth, seen["segments"], _ = scene.sense(
+                grasp_camera(), step, poses, None,
+                lambda frame: numbered(frame.ids, len(poses), scene.heap.target)[0],
+            )  # fmt: skip
+            seen["grasp_depth"] = without_holes(depth, "grasp_depth")
         for kind, key in enumerate(BUDGET_KEYS):
             seen[key] = np.array([self._left(kind)])
         seen[OCCLUSION_KEY] = np.array([scene.occlusion])

@@ -11,7 +11,7 @@ from typing import Any, Generic, NoReturn, TypeVar, cast
 import gymnasium
 import numpy as np
 
-from mechsearch.camera import preset
+from mechsearch.camera import Camera, preset
 from mechsearch.env.task import HeapEnvConfig
 from mechsearch.geometry import cap_length
 from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
@@ -129,7 +129,7 @@ class HeapScene(Generic[W]):
         # Occlusion is measured from the standard view, whatever the policy's image size.
         self.camera = preset(config.camera)
         self._kept: OrderedDict[int, tuple[W, Renderer]] = OrderedDict()
-        self._index = -1
+        self._index, self._episode = -1, 0
 
     @property
     def heap(self) -> Heap:
@@ -180,6 +180,8 @@ class HeapScene(Generic[W]):
         if meant["fixed_start"]:
             rng = np.random.default_rng([heap.seed, 1])
         self.world.reset(heap.poses, self._sample_start(rng))
+        perfect = self._config.sees.is_perfect
+        self._begin(0 if perfect or meant["fixed_start"] else int(rng.integers(2**31)))
         self.poses = self.world.poses
         self.present = np.ones(len(heap.objects), np.bool_)
         self.moved = np.zeros(len(heap.objects))
@@ -225,24 +227,54 @@ class HeapScene(Generic[W]):
         """Note that nothing has moved in the last action."""
         self.moved = np.zeros(len(self.poses))
 
-    def frame(self, size: int, colour: bool, robot: bool = True) -> Frame:
-        """Return what the task's camera sees on an image of `size` [px], with or without robot."""
-        camera, effector = preset(self._config.camera, size), self._effector_pose()
-        return self.renderer.frame(camera, self.poses, effector if robot else None, colour)
+    def picture(self, size: int) -> Array | None:
+        """Return in colours what is in the task's view, on an image of `size` [px]."""
+        camera = preset(self._config.camera, size)
+        return self.renderer.frame(camera, self.poses, self._effector_pose(), True).rgb
 
-    def observe(self) -> dict[str, Array]:
-        """Return a fresh observation."""
+    def sense(
+        self,
+        camera: Camera,
+        step: int,
+        poses: Floats,
+        effector: Floats | None,
+        labels: Callable[[Frame], Array],
+        colour: bool = False,
+    ) -> tuple[Array, Array, Array | None]:
+        """Return depth, 0 in holes, masks and colours as the task's sensor gives them.
+
+        Args:
+            camera: Where the sensor is believed to be.
+            step: Number of the episode's actions so far.
+            poses: Of all objects (N, 7).
+            effector: Pose of the end effector (7,); None leaves it out of view.
+            labels: Returns the true masks in a frame; see `Sensor.segment`.
+            colour: Whether colours are asked for.
+        """
+        sensing = self._sensing
+        seen = sensing.camera(camera)
+        frame = self.renderer.frame(seen, poses, effector, colour or sensing.reads_colour)
+        if sensing.is_perfect:
+            return frame.depth, labels(frame), frame.rgb
+        taken = sensing.take(step, seen, frame.depth, labels(frame), frame.ids, frame.rgb)
+        return *taken, frame.rgb
+
+    def observe(self, step: int) -> dict[str, Array]:
+        """Return a fresh observation, after so many of the episode's actions."""
         heap, depth, mask, rgb = self.heap, None, None, None
         if self.observer.needs_images:
-            size, colour = self._config.image_size, self.observer.needs_colour
-            frame = self.frame(size, colour, self._robot_in_view)
-            depth, mask, rgb = frame.depth, frame.modal(heap.target), frame.rgb
+            depth, mask, rgb = self.sense(
+                preset(self._config.camera, self._config.image_size), step, self.poses,
+                self._effector_pose() if self._robot_in_view else None,
+                lambda frame: frame.modal(heap.target), self.observer.needs_colour,
+            )  # fmt: skip
         return self.observer.observe(
             Scene(
                 depth=depth,
                 target_mask=mask,
                 rgb=rgb,
-                ee_position=self.world.pusher_position,
+                effector=self.world.pusher_position,
+                ee_position=self._sensing.effector(self.world.pusher_position),
                 positions=self.poses[:, :3],
                 present=self.present,
                 target=heap.target,
@@ -259,7 +291,7 @@ class HeapScene(Generic[W]):
             "poses": self.poses.copy(),
             "present": self.present.copy(),
             "occlusion": np.array(self.occlusion),
-        }
+        } | ({} if self._sensing.is_perfect else {"episode": np.array(self._episode)})
 
     def restore(self, snapshot: Mapping[str, Array], counts: Sequence[str]) -> list[int]:
         """Return to a snapshot, exactly.
@@ -275,7 +307,8 @@ class HeapScene(Generic[W]):
             MechSearchError: If it does not fit; nothing has changed then.
         """
         expected = "expected what snapshot() returned in an environment of this kind and heaps"
-        names = (*_SAVED, *counts)
+        drawn = () if self._config.sees.is_perfect else ("episode",)
+        names = (*_SAVED, *counts, *drawn)
         given = snapshot if isinstance(snapshot, Mapping) else {}
         missing = [name for name in names if name not in given]
         if missing:
@@ -299,6 +332,7 @@ class HeapScene(Generic[W]):
         self.poses, self.present = np.array(saved["poses"]), np.array(saved["present"])
         self.occlusion = float(saved["occlusion"])
         self.moved = np.zeros(size)
+        self._begin(int(saved["episode"]) if drawn else 0)
         return [int(saved[name]) for name in counts]
 
     def _opened(self, index: int) -> tuple[W, Renderer]:
@@ -314,6 +348,12 @@ class HeapScene(Generic[W]):
             if len(kept) > _WORLDS_KEPT:
                 kept.popitem(last=False)
         return kept[index]
+
+    def _begin(self, episode: int) -> None:
+        """Take the number that the sensor's errors depend on, beside heap and step."""
+        self._episode = episode
+        seed = (self.heap.seed, 3, episode)
+        self._sensing = self._config.sees.episode(seed, len(self.heap.objects))
 
     def _sample_start(self, rng: np.random.Generator) -> Floats:
         """Return a contact-free position, uniform over the workspace, away from the target."""
@@ -405,7 +445,7 @@ class SceneEnv(gymnasium.Env[Any, Array], Generic[W]):
         if self.render_mode != "rgb_array":
             return None
         _ = self.heap
-        return self._scene.frame(256, colour=True).rgb
+        return self._scene.picture(256)
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise MechSearchError(

@@ -10,6 +10,7 @@ from typing import Any, Self, TypeVar
 from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
+from mechsearch.observe.sensor import Sensor, sensor_named
 from mechsearch.sim import PhysicsConfig, Pusher, Workspace, gripper_named
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 
@@ -34,6 +35,7 @@ class TaskConfig:
     Attributes:
         camera: View of all images and of occlusion: "overhead" or "tilted".
         image_size: Side of the square images [px].
+        sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh".
         max_actions: Length of an episode (paper: 50).
         uncovered_at: Occlusion up to which the target counts as completely visible.
         start_distance: Least distance from start to target [m] (paper: 0.2).
@@ -45,6 +47,7 @@ class TaskConfig:
 
     camera: str = "overhead"
     image_size: int = 64
+    sensor: str = "perfect"
     max_actions: int = 50
     uncovered_at: float = 0.02
     start_distance: float = 0.2
@@ -56,6 +59,7 @@ class TaskConfig:
     def __post_init__(self) -> None:
         check_kinds(self)
         preset(self.camera, self.image_size)
+        sensor_named(self.sensor)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
         least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
         bounds = {"workspace.high": workspace.low, "pusher.length": 2 * pusher.radius}
@@ -75,6 +79,11 @@ class TaskConfig:
         for name, holds, expected in rules:
             if not holds or (at(name) in (inf, -inf) and name not in _MAY_BE_INFINITE):
                 raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
+
+    @property
+    def sees(self) -> Sensor:
+        """What `sensor` names."""
+        return sensor_named(self.sensor)
 
 
 @dataclass(frozen=True)

@@ -344,14 +344,18 @@ _NO_INPUTS = (
 )
 """What of a header is of the program, or follows from the rest."""
 
+_LATER = {"sensor": TaskConfig.sensor}
+"""What of the task earlier versions had not, and how it was then."""
+
 
 def other_inputs(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
     """Return in what inputs the headers of two evaluations differ, such as "split" or "heap set".
 
     The program's version is none: a later one may score the same anew.
     """
-    names = (*one, *(name for name in other if name not in one))
-    named = [n for n in names if n not in _NO_INPUTS and one.get(n) != other.get(n)]
+    both = [{**header, "env": _LATER | header.get("env", {})} for header in (one, other)]
+    names = dict.fromkeys((*one, *other))
+    named = [n for n in names if n not in _NO_INPUTS and both[0].get(n) != both[1].get(n)]
     return tuple(name.replace("_", " ") for name in named)
 
 

@@ -262,14 +262,25 @@ def see_heap(renderer: Renderer, poses: Array, target: int) -> GraspScene:
         target: Its index. It has segment 1 even where no pixel of it is visible.
     """
     frame = renderer.frame(grasp_camera(), poses)
-    pixels = np.bincount(frame.ids[frame.ids >= 0], minlength=len(poses))
+    return GraspScene(frame.depth, *numbered(frame.ids, len(poses), target))
+
+
+def numbered(ids: Array, count: int, target: int) -> tuple[NDArray[np.uint8], tuple[int, ...]]:
+    """Return the segments of a `GraspScene`, and its objects.
+
+    Args:
+        ids: Which object each pixel shows (H, W); -1 where there is none.
+        count: Of the objects.
+        target: Index of the one that is segment 1 even where no pixel of it is visible.
+    """
+    pixels = np.bincount(ids[ids >= 0], minlength=count)
     # By size: their order in the heap would tell how it was made.
     shown = np.argsort(-pixels, kind="stable")[: np.count_nonzero(pixels)].tolist()
     objects = (target, *(index for index in shown if index != target))
-    number = np.zeros(len(poses) + 1, np.uint8)
+    number = np.zeros(count + 1, np.uint8)
     number[list(objects)] = np.arange(1, len(objects) + 1)
     # The table's id is -1, so it reads the last number, which is 0.
-    return GraspScene(frame.depth, number[frame.ids], objects)
+    return number[ids], objects
 
 
 def segment_view(depth: NDArray[np.float32], segments: Array, number: int = 1) -> GraspView:

@@ -94,10 +94,11 @@ class Scene:
     """What an observation is made of.
 
     Attributes:
-        depth: Depth image (H, W) [m], or None when no image is asked for.
+        depth: Depth image (H, W) [m], 0 in holes, or None when no image is asked for.
         target_mask: Visible target pixels (H, W), or None likewise.
         rgb: Colour image (H, W, 3), or None when not asked for.
-        ee_position: End effector (3,) [m].
+        effector: Where the end effector is (3,) [m].
+        ee_position: Where it is reported to be (3,) [m].
         positions: Centres of mass of all objects (N, 3) [m].
         present: Which objects are still on the table (N,).
         target: Index of the target.
@@ -107,6 +108,7 @@ class Scene:
     depth: Array | None
     target_mask: Array | None
     rgb: Array | None
+    effector: Floats
     ee_position: Floats
     positions: Floats
     present: Array
@@ -151,7 +153,7 @@ class Observer:
         return {key: getattr(self, f"_{key}")(scene) for key in self.keys}
 
     def _depth(self, scene: Scene) -> Array:
-        return np.asarray(scene.depth, np.float16)[None]
+        return np.asarray(without_holes(scene.depth), np.float16)[None]
 
     def _position_image(self, scene: Scene) -> Array:
         mask, depth = np.asarray(scene.target_mask), np.asarray(scene.depth)
@@ -169,12 +171,12 @@ class Observer:
         return np.asarray(scene.ee_position, np.float32)
 
     def _target_offset(self, scene: Scene) -> Array:
-        return np.asarray(scene.positions[scene.target] - scene.ee_position, np.float32)
+        return np.asarray(scene.positions[scene.target] - scene.effector, np.float32)
 
     def _clutter_offsets(self, scene: Scene) -> Array:
         rest = others(scene.target, len(scene.positions))
         offsets = np.zeros((self._max_clutter, 3), np.float32)
-        away = scene.positions[rest] - scene.ee_position
+        away = scene.positions[rest] - scene.effector
         offsets[: len(rest)] = away * scene.present[rest, None]
         return offsets
 

@@ -20,6 +20,7 @@ from mechsearch.types import Array, Floats, MechSearchError
 BACKGROUND = -1
 PUSHER = -2
 _TABLE_COLOUR = np.array([196, 186, 170], np.float64)
+_VIEWS_KEPT = 8
 _FLOOR_COLOUR = np.array([90, 92, 96], np.float64)
 
 
@@ -175,6 +176,9 @@ class Renderer:
     def _looking(self, camera: Camera) -> _Seen:
         seen = self._seen.get(camera)
         if seen is None:
+            if len(self._seen) == _VIEWS_KEPT:
+                self._seen.clear()
+                self._projections.clear()
             view, count = View(camera), len(self.bodies)
             rays = view.all_rays
             empty, colour = self._background(camera.pose[:3, 3], rays.astype(np.float64))
