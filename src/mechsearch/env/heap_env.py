@@ -150,7 +150,13 @@ class HeapEnv(SceneEnv[World]):
             "target_moved": target_moved,
         }
         truncated = self._over and not terminated
-        return scene.observe(self._actions), float(sum(reward.values())), terminated, truncated, info
+        return (
+            scene.observe(self._actions),
+            float(sum(reward.values())),
+            terminated,
+            truncated,
+            info,
+        )
 
 
 def make_env(

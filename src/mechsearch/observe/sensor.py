@@ -19,7 +19,7 @@ All other numbers are choices; `docs/sensors.md` says which.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import cos, radians, sqrt, tan
+from math import cos, radians, tan
 from statistics import NormalDist
 
 import numpy as np
@@ -35,7 +35,7 @@ from scipy.ndimage import (
 from mechsearch.camera import Camera
 from mechsearch.types import Array, Floats, MechSearchError
 
-STEEPEST = 2.0
+_STEEPEST = 2.0
 """Slope of a surface against the image plane, about 63 degrees, above which it is an edge."""
 
 _LEAST_EDGE = 0.005
@@ -219,7 +219,7 @@ class Sensor:
 
         An edge is a pixel that differs from a neighbour by more than the steepest surface would.
         """
-        step = _LEAST_EDGE + STEEPEST * depth / camera.fx
+        step = _LEAST_EDGE + _STEEPEST * depth / camera.fx
         low, high = minimum_filter(depth, footprint=_CROSS), maximum_filter(depth, footprint=_CROSS)
         edge: Array = (depth - low > step) | (high - depth > step)
         width = self.edge_width * camera.fx / self.focal
@@ -330,7 +330,8 @@ def cosines(depth: Floats, camera: Camera) -> Floats:
     x, y, _ = np.moveaxis(camera.directions(), -1, 0)
     along = inverse - x * across - y * down
     length = np.sqrt((across**2 + down**2 + along**2) * (x**2 + y**2 + 1))
-    return np.divide(inverse, length, out=np.ones_like(length), where=length > 0)
+    facing: Floats = np.divide(inverse, length, out=np.ones_like(length), where=length > 0)
+    return facing
 
 
 def _slope(values: Floats, axis: int) -> Floats:

@@ -1,0 +1,156 @@
+"""The sensor as part of the task: what policies see is wrong, and nothing else is."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from mechsearch.camera import preset
+from mechsearch.env import (
+    Decision,
+    HeapEnv,
+    HeapEnvConfig,
+    RetrieveConfig,
+    RetrieveEnv,
+    TaskConfig,
+    task_from_json,
+)
+from mechsearch.evaluation.rollout import evaluate, other_inputs, replay_all
+from mechsearch.heaps import embedded_file
+from mechsearch.observe.sensor import SENSORS
+from mechsearch.types import GRASP_KEYS, PRIVILEGED_KEYS, MechSearchError
+
+FIXED = {"heap": 0, "fixed_start": True}
+WRONG = [name for name in SENSORS if name != "perfect"]
+ACTIONS = np.array([[1, 0, 0], [0, 1, -0.5], [-1, 0.3, 0], [0, 0, 1]], np.float32)
+
+
+def episode(env, seed=0, options=None):
+    """Return what is seen and what happens in four actions."""
+    seen, truth = [env.reset(seed=seed, options=options)[0]], []
+    for action in ACTIONS:
+        obs, reward, *_, info = env.step(action)
+        seen.append(obs)
+        truth.append((reward, info["occlusion"], env.state.poses.tobytes()))
+    return seen, truth
+
+
+def as_bytes(observations):
+    return [b"".join(obs[key].tobytes() for key in sorted(obs)) for obs in observations]
+
+
+def make(covered, boxes, sensor, **more):
+    return HeapEnv([covered], boxes, HeapEnvConfig(sensor=sensor, privileged=True, **more))
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_only_what_is_seen_is_wrong(covered, boxes, sensor):
+    perfect, true = episode(make(covered, boxes, "perfect"), options=FIXED)
+    env = make(covered, boxes, sensor)
+    wrong, also = episode(env, options=FIXED)
+    assert also == true
+    for right, obs in zip(perfect, wrong, strict=True):
+        assert env.observation_space.contains(obs)
+        assert (obs["depth"] > 0).all()
+        assert (obs["depth"] != right["depth"]).any()
+        assert np.abs(obs["ee_position"] - right["ee_position"]).max() > 1e-5
+        for key in PRIVILEGED_KEYS:
+            np.testing.assert_array_equal(obs[key], right[key])
+    # The calibration's error is one for all of an episode.
+    errors = [o["ee_position"] - r["ee_position"] for o, r in zip(wrong, perfect, strict=True)]
+    np.testing.assert_allclose(errors, errors[:1] * 5, atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_an_episode_is_seen_again_bit_by_bit_also_from_a_snapshot(covered, boxes, sensor):
+    env, other = (make(covered, boxes, sensor) for _ in range(2))
+    seen, _ = episode(env, seed=5)
+    assert as_bytes(episode(other, seed=5)[0]) == as_bytes(seen)
+    assert as_bytes(episode(other, seed=6)[0]) != as_bytes(seen)
+    env.reset(seed=5)
+    for action in ACTIONS[:2]:
+        env.step(action)
+    snapshot = env.snapshot()
+    later = [other.restore(snapshot), *(other.step(action)[0] for action in ACTIONS[2:])]
+    assert as_bytes(later) == as_bytes(seen[2:])
+
+
+def test_a_perfect_episode_draws_nothing_and_saves_nothing_more(covered, boxes):
+    env, noisy = make(covered, boxes, "perfect"), make(covered, boxes, "stereo")
+    for one in (env, noisy):
+        one.reset(seed=3)
+    assert env.state.ee_position.tobytes() == noisy.state.ee_position.tobytes()
+    assert set(noisy.snapshot()) - set(env.snapshot()) == {"episode"}
+    with pytest.raises(MechSearchError, match="a snapshot without episode"):
+        noisy.restore(env.snapshot())
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_retrieval_sees_through_the_sensor_too(covered, boxes, sensor):
+    seen = []
+    for name in ("perfect", sensor, sensor):
+        env = RetrieveEnv([covered], boxes, RetrieveConfig(sensor=name))
+        obs, _ = env.reset(options=FIXED)
+        seen.append({key: obs[key] for key in GRASP_KEYS})
+        assert env.observation_space.contains(obs)
+        *_, info = env.step(Decision.push([1, 0, 0]).vector())
+        assert info["occlusion"] == 0.75
+    perfect, first, again = seen
+    for key in GRASP_KEYS:
+        np.testing.assert_array_equal(first[key], again[key])
+        assert (first[key] != perfect[key]).any()
+    assert (first["grasp_depth"] > 0).all()
+    assert np.abs(first["grasp_depth"] - perfect["grasp_depth"]).mean() < 0.03
+    both = (first["segments"] == 1) & (perfect["segments"] == 1)
+    assert both.sum() > 0.2 * (perfect["segments"] == 1).sum()
+
+
+def test_a_camera_that_is_not_where_it_is_believed_to_be_shifts_the_image(covered, boxes):
+    """The cube's top, by the believed camera, is off by what the camera is."""
+    env = make(covered, boxes, "harsh")
+    env.reset(options=FIXED)
+    scene, camera = env._scene, preset("overhead", 512)
+    true = scene._sensing.camera(camera)
+    frame = scene.renderer.frame(true, scene.poses)
+    points = camera.back_project(frame.depth)[frame.modal(1)]
+    expected = true.back_project(frame.depth)[frame.modal(1)]
+    off = np.linalg.norm((points - expected).mean(axis=0))
+    assert 0.001 < off < 0.06
+    assert np.abs(expected.mean(axis=0) - [0.025, 0, 0.08]).max() < 0.003
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_images_keep_far_fewer_holes_than_are_refused(sensor):
+    env = HeapEnv(*_heaps(), HeapEnvConfig(sensor=sensor))
+    for heap in range(4):
+        env.reset(options={"heap": heap, "fixed_start": True})
+        scene = env._scene
+        for camera in (preset("overhead"), preset("tilted")):
+            depth, *_ = scene.sense(camera, 0, scene.poses, None, lambda frame: frame.modal(0))
+            assert (depth == 0).mean() < 0.25
+
+
+def _heaps():
+    from mechsearch.heaps import open_heaps
+
+    heap_set, objects = open_heaps(embedded_file("single"), "household")
+    return heap_set.heaps[:4], objects
+
+
+def test_an_evaluation_keeps_its_sensor_and_is_verified(tmp_path):
+    task = TaskConfig(sensor="stereo", max_actions=3)
+    evaluation = evaluate("teacher-spiral", limit=2, task=task)
+    assert evaluation.header["env"]["sensor"] == "stereo"
+    assert "sensor perfect -> stereo" in evaluation.header["task_differs"]
+    assert all(check.passed for check in replay_all(evaluation, embedded_file("single")))
+
+
+def test_what_earlier_versions_wrote_was_seen_perfectly():
+    task = json.loads(json.dumps(asdict(TaskConfig())))
+    earlier = {name: value for name, value in task.items() if name != "sensor"}
+    assert task_from_json(TaskConfig, earlier) == TaskConfig()
+    assert other_inputs({"env": earlier}, {"env": task}) == ()
+    assert other_inputs({"env": earlier}, {"env": {**task, "sensor": "harsh"}}) == ("env",)
+    with pytest.raises(MechSearchError, match="unknown sensor 'x'; choose one of perfect, stereo"):
+        TaskConfig(sensor="x")
