@@ -63,7 +63,7 @@ def test_an_image_in_its_own_view_is_itself(heap, view):
 def test_a_denser_view_has_no_holes_between_the_pixels_of_a_surface():
     view = preset("overhead", 256)
     for tilt in (0.1, 45):
-        aside = camera(160, 160, tilt, 1.0)
+        aside = camera(320, 240, tilt, 1.2)
         depth = 1 / (aside.directions() @ aside.pose[2, :3] / -aside.pose[2, 3])
         found = reproject(depth, aside, view)
         np.testing.assert_allclose(found.depth, 1.0, atol=1e-5)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from mechsearch.camera import Camera, look_at, preset
-from mechsearch.observe.observation import MOST_HOLES
+from mechsearch.camera import Camera, preset
 from mechsearch.observe.sensor import SENSORS, Sensor, cosines, sensor_named
 from mechsearch.types import MechSearchError
 
@@ -121,9 +120,7 @@ def test_holes_are_where_the_model_says_and_nowhere_else(step):
     colour = np.full((SIDE, SIDE, 3), 200, np.uint8)
     colour[:, :50] = 10
     dark = Sensor(dark=30, dark_holes=1.0)
-    np.testing.assert_array_equal(
-        seen(dark, step, colour=colour) == 0, colour[..., 0] == 10
-    )
+    np.testing.assert_array_equal(seen(dark, step, colour=colour) == 0, colour[..., 0] == 10)
     share = (seen(replace(dark, dark_holes=0.3), step, colour=colour) == 0)[:, :50].mean()
     assert share == pytest.approx(0.3, abs=0.03)
 
@@ -166,9 +163,9 @@ def test_flying_pixels_are_between_two_surfaces_at_their_edge(step):
 
 def test_lost_patches_are_as_many_and_as_large_as_said():
     sensor = Sensor(patches=2.0, patch_radius=10.0, focal=OWN)
-    share = np.mean([(seen(sensor, wall(1.0), seed) == 0).mean() for seed in range(200)])
+    share = np.mean([(seen(sensor, wall(1.0), seed) == 0).mean() for seed in range(80)])
     # 2 pi r^2 (1 + 1 / 12), less what lies beyond the image or on each other.
-    assert share == pytest.approx(2 * np.pi * 100 * 13 / 12 / SIDE**2, rel=0.15)
+    assert share == pytest.approx(2 * np.pi * 100 * 13 / 12 / SIDE**2, rel=0.25)
 
 
 def test_an_error_means_as_much_of_the_scene_in_an_image_of_another_size():
@@ -254,9 +251,10 @@ def test_all_is_switched_off_by_default_and_used_by_a_preset():
         getattr(sensor, f.name) == f.default for sensor in SENSORS.values()
     )]  # fmt: skip
     assert unused == []
-    assert MOST_HOLES == 0.5
 
 
 def test_an_unknown_sensor_is_refused_by_name():
-    with pytest.raises(MechSearchError, match="unknown sensor 'lidar'; choose one of perfect, ster"):
+    with pytest.raises(
+        MechSearchError, match="unknown sensor 'lidar'; choose one of perfect, ster"
+    ):
         sensor_named("lidar")

@@ -161,11 +161,10 @@ class Sensor:
         if self.baseline:
             holes |= _unseen_from_the_right(true, camera, self.baseline, edge, rng)
         if self.edge_holes:
-            holes |= band & (rng.random(true.shape) < self.edge_holes)
+            holes |= band & _lost(rng, true.shape, self.edge_holes, self.correlation * scale / 2)
         if self.dark_holes and colour is not None:
             is_dark = colour @ _BRIGHTNESS < self.dark
-            lost = NormalDist().inv_cdf(self.dark_holes) if self.dark_holes < 1 else np.inf
-            holes |= is_dark & (_field(rng, true.shape, 2 * self.correlation * scale) < lost)
+            holes |= is_dark & _lost(rng, true.shape, self.dark_holes, 2 * self.correlation * scale)
         if self.mirroring and glossy is not None:
             holes |= glossy & (facing > cos(radians(self.mirroring)))
         for _ in range(rng.poisson(self.patches)):
@@ -372,6 +371,14 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], length: float) -> F
     window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / length) ** 2)
     power = float((window**2).sum() / window.sum() ** 2)
     return np.asarray(gaussian_filter(noise, length, mode="wrap", truncate=3.0)) / power
+
+
+def _lost(
+    rng: np.random.Generator, shape: tuple[int, ...], share: float, length: float
+) -> NDArray[np.bool_]:
+    """Return a share of an image (H, W), in spots of about a length [px]."""
+    bound = NormalDist().inv_cdf(share) if share < 1 else np.inf
+    return _field(rng, shape, length) < bound
 
 
 def _disc(shape: tuple[int, ...], centre: Array, radius: float, rng: np.random.Generator) -> Array:
