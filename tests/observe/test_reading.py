@@ -159,7 +159,7 @@ def test_holes_are_no_part_of_a_position_image():
 def test_a_robots_code_needs_neither_simulator_nor_pytorch_to_read_its_camera():
     code = (
         "import sys; from mechsearch.observe.observation import position_image, readable, "
-        "reproject, without_holes; import mechsearch.observe.sensor; "
+        "without_holes; from mechsearch.observe import reprojection, sensor; "
         "print([n for n in ('mujoco', 'torch', 'embreex') if n in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
