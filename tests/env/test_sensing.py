@@ -17,7 +17,7 @@ from mechsearch.env import (
     task_from_json,
 )
 from mechsearch.evaluation.rollout import evaluate, other_inputs, replay_all
-from mechsearch.heaps import embedded_file, open_heaps
+from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.observation import MOST_HOLES
 from mechsearch.observe.sensor import SENSORS
 from mechsearch.types import GRASP_KEYS, PRIVILEGED_KEYS, MechSearchError

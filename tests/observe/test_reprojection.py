@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.heaps import embedded_file, open_heaps
+from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.observation import without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Renderer
