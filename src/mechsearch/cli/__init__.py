@@ -43,6 +43,7 @@ COMMANDS = {
     "benchmark table": ("benchmark:TabulateSubmissions", "the table of all submissions"),
     "report": ("reporting:Report", "write one HTML page, or the plot of a summary"),
     "demo": ("demo:Demo", "the whole way: heaps, training, scores, report"),
+    "doctor": ("doctor:Doctor", "say what works here, what is missing, how to get it"),
 }
 """Where every command is, by its words, and what it does."""
 
@@ -118,7 +119,12 @@ def _call(name: str, words: list[str]) -> None:
     module, _, command = (place or COMMANDS[name][0]).partition(":")
     # Users' own policies are looked for where they stand, after everything that is installed.
     sys.path.append(str(Path.cwd()))
-    kind = getattr(importlib.import_module(f"mechsearch.cli.{module}"), command)
+    try:
+        kind = getattr(importlib.import_module(f"mechsearch.cli.{module}"), command)
+    except ImportError as error:
+        raise MechSearchError(
+            f"`mechsearch {name}` cannot start: {error}; `mechsearch doctor` says what is missing"
+        ) from error
     options: Any = kind.parse(f"mechsearch {name}", words)
     options.check_places()
     try:
