@@ -6,7 +6,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check unit test-all bench bench-full soak lock clean
+.PHONY: demo test check unit test-all test-release docs bench bench-full soak lock clean
 
 demo: $(READY)
 	$(BIN)/mechsearch demo --out demo
@@ -30,6 +30,30 @@ test-all:
 			$(MAKE) --no-print-directory unit PYTHON=python$$version VENV=.venv-$$version || exit 1; \
 		fi; \
 	done
+
+# Source archive and wheel, each installed into an environment of its own and tried in another folder.
+test-release: $(READY)
+	rm -rf dist
+	$(BIN)/hatchling build
+	set -e; home=$$(mktemp -d); trap 'rm -rf "$$home"' EXIT; \
+	for try in "$$(echo $(CURDIR)/dist/*.tar.gz) teacher-spiral" "$$(echo $(CURDIR)/dist/*.whl)[learn] single"; do \
+		$(BIN)/uv venv --quiet --clear --python $(BIN)/python "$$home/venv"; \
+		$(BIN)/uv pip install --quiet --python "$$home/venv/bin/python" --constraints requirements.txt "$${try% *}"; \
+		du -sm "$$home/venv"; \
+		(cd "$$home" && PATH="$$home/venv/bin:$$PATH" && mechsearch doctor && \
+			mechsearch heaps show household-single --out heaps.png && \
+			mechsearch evaluate "$${try##* }" --limit 1 --workers 1 --brief --out scores); \
+	done
+
+# A site in docs/_build/html that can be opened as a file; it asks nobody outside.
+docs: $(VENV)/.docs-ready
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet \
+		--doctree-dir docs/_build/doctrees docs docs/_build/html
+	$(BIN)/python docs/offline.py docs/_build/html
+
+$(VENV)/.docs-ready: $(READY) docs/requirements.txt
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r docs/requirements.txt
+	touch $@
 
 # About twenty minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
 bench: $(VENV)/.bench-ready
@@ -57,6 +81,9 @@ $(READY): requirements.txt pyproject.toml
 lock: $(READY)
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
 		--all-extras --group dev --output-file requirements.txt pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --python-version 3.11 \
+		--group docs --constraints requirements.txt --output-file docs/requirements.txt \
+		$$(sed -n 's/^\([a-z0-9_.-]*\)==.*/--no-emit-package \1/p' requirements.txt)
 
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo dist docs/_build

@@ -272,7 +272,7 @@ class PushViews:
     """How n pushes look from one observation.
 
     Attributes:
-        patches: Images in the pushes' frames (n, *PATCH).
+        patches: Images in the pushes' frames, n of the shape `PATCH`.
         numbers: Place, lengths, heights and kind, roughly of size 1 (n, NUMBERS).
         actions: How many each will take, approach included, as planned (n,).
     """
