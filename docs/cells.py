@@ -40,15 +40,14 @@ class Run(SphinxDirective):
         if page["count"] == 1:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-        shown = [nodes.literal_block(code, code.rstrip(), language=language)]
+        shown = [_block(code, language)]
         if "save" in self.options:
-            shown[0]["language"] = "python"
             (folder / self.options["save"]).write_text(code)
             return shown
         with chdir(folder):
             said = _python(code, page["names"]) if language == "python" else _bash(code)
         if said.strip():
-            shown.append(nodes.literal_block(said, said.rstrip(), language="text"))
+            shown.append(_block(said, "text"))
         if "picture" in self.options:
             # Under a name of its own, since a later cell may write another of that name.
             written = folder / self.options["picture"]
@@ -57,6 +56,11 @@ class Run(SphinxDirective):
             uri = "/" + kept.relative_to(self.env.srcdir).as_posix()
             shown.append(nodes.image(uri=uri, alt=self.options.get("alt", "")))
         return shown
+
+
+def _block(text, language):
+    """Return text as a block; Sphinx colours it if its raw source is the same."""
+    return nodes.literal_block(text.rstrip(), text.rstrip(), language=language)
 
 
 def _python(code, names):

@@ -32,3 +32,12 @@ napoleon_use_rtype = False
 html_theme = "furo"
 html_title = f"mechsearch {release}"
 html_show_sphinx = html_show_copyright = html_show_sourcelink = html_copy_source = False
+
+
+def setup(app):
+    """Let pages link to a Markdown file that is no page of the site."""
+
+    def linked(app, page, text):
+        text[0] = text[0].replace("](../results/README.md)", "](path:../results/README.md)")
+
+    app.connect("source-read", linked)
