@@ -118,8 +118,8 @@ class Grasper:
             rated = planner.plan(view, self._rng, self._proposals)
             kept = reachable(rated.poses)
             poses, quality = rated.poses[kept], rated.quality[kept]
-            if remembering and len(poses):
-                failures = sum(failed.gripper == number for failed in self._failed)
+            failures = sum(failed.gripper == number for failed in self._failed)
+            if remembering and failures and len(poses):
                 odds = quality * _FAILED_BEFORE**failures
                 quality = odds / (odds + 1 - quality)
                 quality[self._remembered(view, number, poses)] *= _FAILED_AGAIN
