@@ -31,7 +31,7 @@ from mechsearch.evaluation.episodes import (
     load_episodes,
     measure,
 )
-from mechsearch.evaluation.policies import make_policy
+from mechsearch.evaluation.policies import policy_named
 from mechsearch.evaluation.rollout import (
     EvaluationPlan,
     differing,
@@ -247,7 +247,7 @@ def act(
         evaluation = load_episodes(Path(policy))
         learnt = evaluation.header["trained"]
     else:
-        learnt = hasattr(make_policy(policy), "training_actions")
+        learnt = hasattr(policy_named(policy), "training_actions")
     if (learnt or task.retrieves) and not learnt_on:
         raise MechSearchError(
             f"{name} has learnt, or uses networks that have; name the heap sets by --training-heaps"
