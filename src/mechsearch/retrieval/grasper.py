@@ -113,6 +113,9 @@ class Grasper:
         """
         if not self._planners:
             raise MechSearchError("a robot without a gripper; call equip before the first episode")
+        if remembering:
+            # Once it is hidden, this is where it was seen last.
+            self.middle(view)
         found = []
         for number, planner in enumerate(self._planners):
             rated = planner.plan(view, self._rng, self._proposals)
