@@ -10,11 +10,11 @@ import tyro
 
 from mechsearch.cli.command import Command, wrote
 from mechsearch.evaluation.episodes import Evaluation, load_episodes, summary_rows
+from mechsearch.evaluation.policies import actor_of
 from mechsearch.files import (
     CONFIG_FILE,
     INPUTS_FILE,
     METRICS_FILE,
-    POLICY_FILE,
     read_lines,
     read_record,
     write_json,
@@ -54,7 +54,7 @@ class Pack(Command):
         config = read_record(self.run_directory / CONFIG_FILE, "training configuration")
         inputs = read_record(self.run_directory / INPUTS_FILE, "record of a run's inputs")
         header = evaluation.header
-        actor = hashlib.sha256((self.run_directory / POLICY_FILE).read_bytes()).hexdigest()
+        actor = actor_of(str(self.run_directory))
         own = {"actor": actor, "training_seed": config["seed"], "training_actions": actions}
         if any(header.get(name) != value for name, value in own.items()):
             raise MechSearchError(

@@ -4,7 +4,7 @@ import hashlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -382,7 +382,6 @@ class Scoring(Job):
             if self.grasp is None:
                 raise MechSearchError("the plan asks for grasps, and nothing to measure them given")
             evaluation = self.grasp(evaluation)
-        evaluation = replace(evaluation, header={**evaluation.header, **self._mark})
         place = self.folder.evaluations(self.condition)
         save_episodes(place / f"{file_name(evaluation)}.npz", evaluation)
         self.enter()
