@@ -105,7 +105,7 @@ def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[n
     corners = np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
     low = corners.min(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        smooth = (low > 0) & (1 / low - 1 / corners.max(axis=0) <= _step(depth, camera))
+        smooth = (low > 0) & (1 / low - 1 / corners.max(axis=0) <= edge_step(depth, camera))
     pixels = np.flatnonzero(inverse)
     pixels = pixels[~_under_the_table(pixels, depth.ravel()[pixels], camera, view)]
     between, around = smooth.ravel()[pixels], corners.reshape(4, -1)[:, pixels]
@@ -126,7 +126,7 @@ def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[n
         source = pixels[use][seen] + (a >= 0.5) + (b >= 0.5) * camera.width
         fallen.append((place, z, source, np.hypot(u - np.rint(u), v - np.rint(v))))
     place, z, source, away = map(np.concatenate, zip(*fallen, strict=True))
-    front = z <= best[place] + _step(best[place], view)
+    front = z <= best[place] + edge_step(best[place], view)
     # The last of those in one place is written: the one next to its middle.
     order = front.nonzero()[0][np.argsort(-away[front], kind="stable")]
     found, near = np.full(len(best), -1, np.intp), np.zeros(len(best), np.float32)
@@ -162,8 +162,12 @@ def _under_the_table(pixels: Array, depth: Floats, camera: Camera, view: Camera)
     return hidden
 
 
-def _step(depth: Floats, camera: Camera) -> Floats:
-    """Return the greatest difference in depth [m] between neighbours on one surface."""
+def edge_step(depth: Floats, camera: Camera) -> Floats:
+    """Return the least difference in depth between neighbours that is an edge (H, W) [m].
+
+    It is more than 5 mm, and than that of a surface of slope 2 against the image plane, about 63
+    degrees.
+    """
     return 0.005 + 2.0 * depth / camera.fx
 
 

@@ -33,13 +33,8 @@ from scipy.ndimage import (
 )
 
 from mechsearch.camera import Camera
+from mechsearch.observe.reprojection import edge_step
 from mechsearch.types import Array, Floats, MechSearchError
-
-_STEEPEST = 2.0
-"""Slope of a surface against the image plane, about 63 degrees, above which it is an edge."""
-
-_LEAST_EDGE = 0.005
-"""A step in depth that is smaller is no edge [m]."""
 
 _NOTHING = 1e3
 """Depth where nothing is [m], for differences of neighbours."""
@@ -218,7 +213,7 @@ class Sensor:
 
         An edge is a pixel that differs from a neighbour by more than the steepest surface would.
         """
-        step = _LEAST_EDGE + _STEEPEST * depth / camera.fx
+        step = edge_step(depth, camera)
         low, high = minimum_filter(depth, footprint=_CROSS), maximum_filter(depth, footprint=_CROSS)
         edge: Array = (depth - low > step) | (high - depth > step)
         width = self.edge_width * camera.fx / self.focal
