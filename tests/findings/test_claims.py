@@ -6,6 +6,7 @@ import pytest
 
 from mechsearch.evaluation.episodes import Estimate
 from mechsearch.findings.claims import (
+    AS_PRINTED,
     BEST_TEACHER,
     FAILS,
     FLOOR,
@@ -95,6 +96,20 @@ def test_the_opposite_truth_turns_the_verdicts_round(
         assert only(found, words).verdict == FAILS
     for words in ("teachers are essential", "asymmetry of actor"):
         assert only(found, words).verdict == FAILS
+
+
+def test_claims_of_the_learner_are_put_to_the_loss_as_printed_likewise(
+    write_sweep: WriteSweep, tmp_path: Path
+) -> None:
+    """Policies of the same scores by other names get the same verdicts."""
+    gains = {"method": 0.5, "no-teachers": 0.1, "random": 0.0, "idle": 0.0}
+    gains |= {f"teacher-{name}": 0.6 for name in ("straight", "zigzag", "spiral")}
+    gains |= {"as-printed": 0.5, "as-printed-no-teachers": 0.1}
+    made = write_sweep(tmp_path / "s", {"single": gains, "dual": gains})
+    found = {r.words: r.verdict for r in rule((*PAPER, *AS_PRINTED), read_experiment(made))}
+    printed = {w.removeprefix("As printed: "): v for w, v in found.items() if "As printed" in w}
+    assert printed == {words: found[words] for words in printed}
+    assert {HOLDS, UNMEASURED} <= set(printed.values())
 
 
 def test_equal_policies_are_undecided(write_sweep: WriteSweep, tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ from mechsearch.actor_critic.learner import LearnerConfig
 from mechsearch.algorithm import RunConfig, Schedule
 from mechsearch.env.heap_env import TaskConfig
 from mechsearch.push_values.algorithm import PushValues
+from mechsearch.teachers import PAPER_TEACHERS
 from mechsearch.training.config import PRESETS, load_config, run_config, save_config
-from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, MechSearchError
+from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -63,7 +64,22 @@ def test_pushes_are_learnt_under_any_camera():
 
 def test_only_the_no_pose_ablation_and_retrieval_change_what_the_actor_sees():
     found = {name for name, config in PRESETS.items() if config.algorithm.keys != ACTOR_KEYS}
-    assert found == {"no-pose-input", "retrieve"}
+    assert found == {"no-pose-input", "as-printed-no-pose-input", "retrieve"}
+
+
+def test_the_loss_as_printed_is_the_value_alone_of_the_papers_actor_and_each_ablation_one_change():
+    printed = PRESETS["as-printed"].algorithm
+    assert printed.learner.imitation == 0
+    network = printed.learner.network
+    assert (network.directions, network.lengths, network.centroid) == (False,) * 3
+    assert printed.teachers == PAPER_TEACHERS
+    assert printed.critic_keys == PRESETS["method"].algorithm.critic_keys
+    for part, change in (
+        ("teachers", {"teachers": ()}),
+        ("asymmetry", {"critic_keys": ACTOR_KEYS}),
+        ("pose-input", {"actor_keys": RGB_ACTOR_KEYS}),
+    ):
+        assert PRESETS[f"as-printed-no-{part}"].algorithm == replace(printed, **change)
 
 
 def test_no_actor_sees_privileged_keys():

@@ -19,7 +19,11 @@ from mechsearch.training.assemble import SHIPPED_NETWORK
 from mechsearch.training.config import run_config
 from mechsearch.types import MechSearchError
 
-VARIANTS = ("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus")
+VARIANTS = (
+    *("method", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input", "plus"),
+    *("as-printed", "as-printed-no-teachers", "as-printed-no-asymmetry"),
+    "as-printed-no-pose-input",
+)
 REFERENCES = ("random", "idle", *(f"teacher-{name}" for name in PAPER_TEACHERS), LOOK_AHEAD)
 
 _PURPOSE = "plan of a sweep"
@@ -45,8 +49,8 @@ class SweepPlan:
         generate_single: Single heaps to generate where no file is given.
         generate_dual: Dual heaps likewise.
         conditions: "single", "dual" or both.
-        variants: What is trained: method, ddpg, no-teachers, no-asymmetry, no-pose-input, plus, an
-            algorithm by itself, or package.module:factory.
+        variants: What is trained: those of `VARIANTS`, an algorithm by itself, or
+            package.module:factory.
         seeds: Of the training runs of each variant.
         actions: Executed in each run.
         references: Policies that are not trained: random, idle, the teachers, look-ahead.

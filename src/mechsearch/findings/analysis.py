@@ -64,21 +64,28 @@ class Analysis:
     Attributes:
         experiment: What was measured.
         paper: The paper's claims with their verdicts, where a plan was made to test them.
+        as_printed: The paper's, of its own loss, where that was trained.
         goals: The project's own, likewise.
         comparisons: Of each policy that learnt with all others, where there was no plan.
     """
 
     experiment: Experiment
     paper: Sequence[claims.Ruling]
+    as_printed: Sequence[claims.Ruling]
     goals: Sequence[claims.Ruling]
     comparisons: Sequence[Comparison]
+
+    @property
+    def rulings(self) -> list[claims.Ruling]:
+        """All claims with their verdicts."""
+        return [*self.paper, *self.as_printed, *self.goals]
 
     @property
     def lines(self) -> list[str]:
         """The findings as lines for a terminal."""
         if self.experiment.plan is None:
             return [line for comparison in self.comparisons for line in comparison.sentences]
-        return [f"{ruling.verdict:>14}: {ruling.words}" for ruling in (*self.paper, *self.goals)]
+        return [f"{ruling.verdict:>14}: {ruling.words}" for ruling in self.rulings]
 
     @property
     def numbers(self) -> dict[str, list[tuple[str, ...]]]:
@@ -86,7 +93,7 @@ class Analysis:
         conditions = self.experiment.conditions.values()
         curves = (curve_rows(c.name, chain.from_iterable(c.runs.values())) for c in conditions)
         return {
-            "claims": claims.claim_rows((*self.paper, *self.goals)),
+            "claims": claims.claim_rows(self.rulings),
             "learning": [CURVE_COLUMNS, *chain.from_iterable(curves)],
             "tradeoff": tradeoff_rows(self.experiment),
         }
@@ -95,14 +102,16 @@ class Analysis:
 def analyse(experiment: Experiment) -> Analysis:
     """Return what an experiment says: of a sweep its claims, of others what beat what."""
     if experiment.plan is not None:
-        paper, goals = (claims.rule(asked, experiment) for asked in (claims.PAPER, claims.GOALS))
-        return Analysis(experiment, paper, goals, ())
+        trained = {name for c in experiment.conditions.values() for name in c.policies}
+        printed = claims.AS_PRINTED if "as-printed" in trained else ()
+        asked = (claims.PAPER, printed, claims.GOALS)
+        return Analysis(experiment, *(claims.rule(those, experiment) for those in asked), ())
     comparisons = [
         compare_with_others(condition, name)
         for condition in experiment.conditions.values()
         for name in condition.subjects
     ]
-    return Analysis(experiment, (), (), comparisons)
+    return Analysis(experiment, (), (), (), comparisons)
 
 
 def tradeoff_rows(experiment: Experiment) -> list[tuple[str, ...]]:

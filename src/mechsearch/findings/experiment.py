@@ -27,7 +27,9 @@ from mechsearch.findings.scores import ScoredPolicy, episode_files, read_scored
 from mechsearch.findings.tables import RETRIEVAL_TRADEOFF, TRADEOFF
 from mechsearch.types import Floats, MechSearchError
 
-LISTED_FIRST = ("method", "plus", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input")
+LISTED_FIRST = (
+    *("method", "plus", "as-printed", "ddpg", "no-teachers", "no-asymmetry", "no-pose-input"),
+)
 PASSIVE = ("idle", "random")
 TEACHER_PREFIX = "teacher-"
 CEILING = "look-ahead"

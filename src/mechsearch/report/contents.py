@@ -72,6 +72,7 @@ def document(
     sections: dict[str, Iterator[Content]] = {}
     if planned:
         sections["What the paper claims"] = _rulings(found.paper, _CLAIMS_NOTE)
+        sections["The same of the loss as printed"] = _rulings(found.as_printed)
         sections["What this project asks besides"] = _rulings(found.goals)
     else:
         sections["What beat what"] = _comparisons(found)
@@ -96,7 +97,8 @@ def document(
 
 
 def _rulings(rulings: Sequence[Ruling], note: str = "") -> Iterator[Content]:
-    yield overview_table(rulings)
+    if rulings:
+        yield overview_table(rulings)
     yield from map(answer_table, rulings)
     if note:
         yield Paragraph(note, "note")

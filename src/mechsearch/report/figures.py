@@ -49,6 +49,7 @@ _POLICIES = {
     "no-teachers": (COLOURS[2], "s"),
     "no-asymmetry": (COLOURS[4], "^"),
     "no-pose-input": (COLOURS[5], "P"),
+    "as-printed": (COLOURS[2], "X"),
     "teacher-straight": ("#3f444d", ">"),
     "teacher-zigzag": ("#6b717c", "h"),
     "teacher-spiral": ("#3f444d", "<"),
@@ -76,7 +77,7 @@ _STYLE: dict[str, Any] = {
 _style = partial(matplotlib.style.context, _STYLE)
 _RULES: dict[str, Any] = {"color": "#e3e5e8", "linewidth": 0.8}
 
-LEARNING = ("method", "plus", "ddpg")
+LEARNING = ("method", "plus", "ddpg", "as-printed")
 ABLATION = ("method", "no-teachers", "no-asymmetry", "no-pose-input")
 ABLATION_METRICS = ("reward", "visibility_change")
 RUN_METRICS = ("reward", "visibility_change", "uncovered_rate", "clutter_moved_m")

@@ -79,6 +79,8 @@ def _presets() -> Mapping[str, Run]:
     learner = replace(base.learner, imitation=10.0, mirrors=False, network=drawn)
     method = replace(base, imitated=("spiral",), learner=learner)
     ordinary = replace(alone, dropout=0.0, samples=1)
+    # L = -Q alone, and the paper's actor: a tanh along each axis, no input of our own.
+    printed = replace(base, learner=replace(base.learner, imitation=0.0, network=NetworkConfig()))
     debug = replace(method, warmup=20, learner=replace(method.learner, batch=8, samples=5))
     variants = {
         "method": method,
@@ -87,6 +89,10 @@ def _presets() -> Mapping[str, Run]:
         "no-asymmetry": replace(method, critic_keys=ACTOR_KEYS),
         "no-pose-input": replace(method, actor_keys=RGB_ACTOR_KEYS),
         "plus": PushValues(),
+        "as-printed": printed,
+        "as-printed-no-teachers": replace(printed, teachers=()),
+        "as-printed-no-asymmetry": replace(printed, critic_keys=ACTOR_KEYS),
+        "as-printed-no-pose-input": replace(printed, actor_keys=RGB_ACTOR_KEYS),
         "debug": debug,
     }
     presets: dict[str, Run] = {name: RunConfig(name, made) for name, made in variants.items()}
@@ -98,8 +104,8 @@ def _presets() -> Mapping[str, Run]:
 
 
 PRESETS = _presets()
-"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), `retrieve` (pushes,
-removals and grasps), and `debug`."""
+"""The method, its baseline and ablations (paper, section IV), `plus` (pushes), the paper's own loss
+(`as-printed`) with its ablations, `retrieve` (pushes, removals and grasps), and `debug`."""
 
 
 def run_config(name: str) -> Run:
