@@ -104,8 +104,10 @@ def analyse(experiment: Experiment) -> Analysis:
     if experiment.plan is not None:
         trained = {name for c in experiment.conditions.values() for name in c.policies}
         printed = claims.AS_PRINTED if "as-printed" in trained else ()
-        asked = (claims.PAPER, printed, claims.GOALS)
-        return Analysis(experiment, *(claims.rule(those, experiment) for those in asked), ())
+        paper, as_printed, goals = (
+            claims.rule(asked, experiment) for asked in (claims.PAPER, printed, claims.GOALS)
+        )
+        return Analysis(experiment, paper, as_printed, goals, ())
     comparisons = [
         compare_with_others(condition, name)
         for condition in experiment.conditions.values()
