@@ -6,7 +6,12 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check unit test-all test-release docs bench bench-full soak lock clean
+# One interpreter of each version at hand: on the path, or pyenv's.
+PYTHONS = $(shell for version in 3.11 3.12 3.13 3.14; do \
+	for python in python$$version $(HOME)/.pyenv/versions/$$version.*/bin/python$$version; do \
+		$$python --version >/dev/null 2>&1 && command -v $$python && break; done; done; true)
+
+.PHONY: demo test check unit test-all test-exports test-release docs bench bench-full soak lock clean
 
 demo: $(READY)
 	$(BIN)/mechsearch demo --out demo
@@ -24,12 +29,22 @@ unit: $(READY)
 
 # Every Python at hand, each with an environment of its own.
 test-all:
-	@for version in 3.11 3.12 3.13 3.14; do \
-		if command -v python$$version >/dev/null && python$$version --version >/dev/null 2>&1; then \
-			echo "== Python $$version"; \
-			$(MAKE) --no-print-directory unit PYTHON=python$$version VENV=.venv-$$version || exit 1; \
-		fi; \
+	@for python in $(PYTHONS); do \
+		echo "== $$python"; \
+		$(MAKE) --no-print-directory unit PYTHON=$$python VENV=.venv-$${python##*python} || exit 1; \
 	done
+
+# LeRobot (Python 3.12 or newer) and Minari, each in an environment of its own, open what is exported for them.
+test-exports: $(VENV)-lerobot/.ready $(VENV)-minari/.ready
+	MECHSEARCH_LEROBOT=$(VENV)-lerobot/bin/python MECHSEARCH_MINARI=$(VENV)-minari/bin/python \
+		$(BIN)/python -m pytest tests/exports
+
+$(VENV)-lerobot/.ready: PACKAGES := lerobot[dataset]==0.6.1
+$(VENV)-minari/.ready: PACKAGES := minari[arrow]==0.5.4 pillow
+$(VENV)-%/.ready: $(READY)
+	$(BIN)/uv venv --quiet --clear --python $(firstword $(filter-out %3.11,$(PYTHONS)) python3) $(@D)
+	$(BIN)/uv pip install --quiet --python $(@D)/bin/python $(PACKAGES)
+	touch $@
 
 # Source archive and wheel, each installed into an environment of its own and tried in another folder.
 test-release: $(READY)

@@ -29,6 +29,7 @@ COMMANDS = {
     "sweep": ("sweeping:Sweep", "every experiment of the paper, by one command"),
     "verify": ("evaluation:Verify", "play recorded episodes again: the same bits?"),
     "show": ("evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
+    "export episodes": ("export_episodes:ExportEpisodes", "episodes for LeRobot, Minari"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
     "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
     "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),

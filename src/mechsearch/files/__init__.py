@@ -40,10 +40,12 @@ from mechsearch.files.whole import (
     REFUSALS,
     NotWrittenError,
     alone,
+    check_absent,
     check_place,
     locked,
     naming,
     not_written,
+    write_folder,
     write_text,
     write_whole,
 )

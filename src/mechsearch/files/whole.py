@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -145,3 +146,38 @@ def alone(path: Path, what: str) -> Iterator[None]:
                 f"another process is at work in {what}; wait for its end, or stop it"
             )
         yield
+
+
+def write_folder(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a folder beside `path`, then rename it: no reader sees half of it.
+
+    What a killed process has left beside it is cleared away first.
+
+    Raises:
+        MechSearchError: If there is something at `path`, or another process is at it.
+        NotWrittenError: As `write_whole`.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    with alone(path, f"the folder {path}"):
+        check_absent(path)
+        with naming(path):
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir()
+            try:
+                write(partial)
+                for file in filter(Path.is_file, partial.rglob("*")):
+                    with file.open("rb") as written:
+                        os.fsync(written.fileno())
+                partial.rename(path)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
+
+
+def check_absent(path: Path) -> None:
+    """Refuse a folder that is there already, before hours of work for it.
+
+    Raises:
+        MechSearchError: If there is something in it, or a file of its name.
+    """
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise MechSearchError(f"{path} is there already; name a new folder, or remove it first")

@@ -5,12 +5,10 @@ from dataclasses import replace
 from itertools import groupby, pairwise
 from typing import Any
 
-import numpy as np
-
-from mechsearch.env import RetrieveConfig, RetrieveEnv, task_from_json
+from mechsearch.env import RetrieveConfig, task_from_json
 from mechsearch.evaluation.episodes import EpisodeRecord
-from mechsearch.heaps.dataset import Heap
-from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.evaluation.frames import is_near, recorded_environment
+from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.film import (
     FILMS_ALONE,
     PHASES,
@@ -27,9 +25,6 @@ from mechsearch.sim import LiftFrame
 _EVERY = 6
 """Of the frames of a grasp, which are 20 ms apart, one in so many is shown."""
 
-_SAME = 1e-3
-"""Distance up to which an object lies where it was recorded [m]: machines differ by rounding."""
-
 _SAID = {"lower": "put back", "open": "let go"}
 _AFTER = ("lower", "open", "leave")
 
@@ -42,33 +37,21 @@ def replayed(
     Where the physics takes another course than it was recorded, as it may on another machine, they
     are those of the record alone.
     """
-    hands, env = Hands(header), _env(header, record, models)
+    task = task_from_json(RetrieveConfig, header["env"])
+    blind = replace(task, keys=("ee_position",), privileged=False)
+    hands, env = Hands(header), recorded_environment(blind, record, models)
+    env.reset(options={"heap": 0, "fixed_start": True})
     moments = [first_moment(record)]
     for step, action in enumerate(record.actions):
         film = env.film = []
         info = env.step(action)[4]
-        there = np.abs(env.state.poses - record.poses[step + 1])[:, :3].max()
-        if info["outcome"] != came_to(record, step) or (not info["failure"] and there > _SAME):
+        there = info["failure"] or is_near(env.state.poses, record.poses[step + 1])
+        if info["outcome"] != came_to(record, step) or not there:
             return recorded(header, record, models)
         moments += _grasp(record, step, film, hands)
         if is_shown_after(record, step):
             moments.append(moment_after(record, step, hands))
     return moments
-
-
-def _env(
-    header: Mapping[str, Any], record: EpisodeRecord, models: Mapping[str, ObjectModel]
-) -> RetrieveEnv:
-    """Return the environment at the start of the episode."""
-    heap = Heap(
-        record.objects, record.poses[0], record.target, float(record.occlusions[0]),
-        record.heap_seed, record.count, record.condition, held_out=True,
-    )  # fmt: skip
-    task = task_from_json(RetrieveConfig, header["env"])
-    blind = replace(task, keys=("ee_position",), privileged=False)
-    env = RetrieveEnv([heap], ObjectSet("recorded", models, {}), blind)
-    env.reset(options={"heap": 0, "fixed_start": True})
-    return env
 
 
 def _grasp(
