@@ -3,10 +3,11 @@
     python examples/04_stable_baselines.py --algorithm td3 --actions 8000 --out runs/sb3-td3
 
 Its actor is a file like any other (`mechsearch evaluate runs/sb3-td3 --heaps ...`): towers, two
-dense layers and a tanh are the same function there and here.
+dense layers and a tanh are the same function there and here. `mechsearch report runs/sb3-td3` draws
+its curve on held-out heaps.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,8 +23,9 @@ from mechsearch.actor_critic.algorithm import ActorCritic
 from mechsearch.actor_critic.networks import Actor, Encoder, NetworkConfig
 from mechsearch.actor_critic.policy import ActorPolicy
 from mechsearch.env.heap_env import TaskConfig
-from mechsearch.files import POLICY_FILE, write_json
+from mechsearch.files import POLICY_FILE
 from mechsearch.training.run_directory import save_policy, trained
+from mechsearch.training.stable_baselines import CurveCallback
 
 ALGORITHMS = {"ddpg": DDPG, "td3": TD3, "sac": SAC}
 
@@ -41,7 +43,9 @@ class Run:
         gamma: Discount, the same as our learner's.
         batch: Transitions in each update, likewise.
         noise: Standard deviation of the Gaussian exploration of DDPG and TD3.
-        out: Folder for the actor.
+        evaluate_every: Actions between evaluations.
+        held_out_heaps: Of them, on how many; 0 takes all.
+        out: Run directory to write.
     """
 
     algorithm: Literal["ddpg", "td3", "sac"] = "ddpg"
@@ -52,6 +56,8 @@ class Run:
     gamma: float = 0.9
     batch: int = 64
     noise: float = 0.2
+    evaluate_every: int = 1000
+    held_out_heaps: int = 2
     out: Path = Path("sb3")
 
 
@@ -105,14 +111,16 @@ def actor_of(model):
 def main(run):
     """Train, and write the actor beside what it came from."""
     torch.set_num_threads(1)
-    model = model_of(run)
-    model.learn(run.actions)
+    model, name = model_of(run), f"sb3-{run.algorithm}"
+    curve = CurveCallback(
+        run.out, name, run.evaluate_every, seed=run.seed, heaps=run.heaps or None,
+        objects=run.objects, limit=run.held_out_heaps,
+    )  # fmt: skip
+    model.learn(run.actions, callback=curve)
     rewards = [episode["r"] for episode in model.ep_info_buffer]
-    config = {**asdict(run), "name": f"sb3-{run.algorithm}", "out": str(run.out)}
-    write_json(run.out / "config.json", config)
     policy = trained(ActorPolicy(actor_of(model)), ActorCritic(), model.num_timesteps, TaskConfig())
     save_policy(policy, run.out / POLICY_FILE)
-    print(f"{config['name']}: {model.num_timesteps} actions, last episodes' mean reward", end=" ")
+    print(f"{name}: {model.num_timesteps} actions, last episodes' mean reward", end=" ")
     print(f"{np.mean(rewards):.1f}; the actor is in {run.out}")
 
 

@@ -5,8 +5,8 @@ environments, `make_retrieve_env` ("mechsearch/Retrieve-v0" and "mechsearch/Retr
 of retrieval, "mechsearch/BenchmarkUncoverSingle-v1" and its like the benchmark's,
 `make_vector_env` (or `gymnasium.make_vec`) many of them in worker processes,
 `generate` and `load_heaps` heap sets, `load_object_set` objects, `make_policy` policies by name,
-file or function, `evaluate` their episodes, and `train` runs of any algorithm (PyTorch). Each is
-imported when it is first used.
+file or function, `evaluate` their episodes, `train` runs of any algorithm (PyTorch), and
+`CurveLogger` curves of any other learner. Each is imported when it is first used.
 """
 
 from importlib import import_module
@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     from mechsearch.heaps.generate import GenerateConfig, generate
     from mechsearch.objects.catalog import load_object_set
     from mechsearch.training.config import run_config
+    from mechsearch.training.curve_logger import CurveLogger
     from mechsearch.training.run import train
     from mechsearch.types import MechSearchError, Policy
 
 _PLACES = {
+    "CurveLogger": "training.curve_logger:CurveLogger",
     "GenerateConfig": "heaps.generate:GenerateConfig",
     "HeapEnv": "env.heap_env:HeapEnv",
     "HeapEnvConfig": "env.task:HeapEnvConfig",
@@ -63,6 +65,7 @@ _PLACES = {
 
 __version__ = version("mechsearch")
 __all__ = [
+    "CurveLogger",
     "GenerateConfig",
     "HeapEnv",
     "HeapEnvConfig",

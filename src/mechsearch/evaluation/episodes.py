@@ -477,6 +477,17 @@ def estimates(measured: Sequence[Mapping[str, float]]) -> dict[str, Estimate]:
     }
 
 
+def logged(scores: Mapping[str, Estimate]) -> dict[str, float]:
+    """Return scores as a run logs them: the means by metric.
+
+    `<metric>_ci_low`, `<metric>_ci_high` and the number of `heaps` follow.
+    """
+    found: dict[str, float] = {name: estimate.mean for name, estimate in scores.items()}
+    found |= {f"{name}_ci_low": estimate.ci_low for name, estimate in scores.items()}
+    found |= {f"{name}_ci_high": estimate.ci_high for name, estimate in scores.items()}
+    return found | {"heaps": next(iter(scores.values())).heaps}
+
+
 def score_by_count(records: Sequence[EpisodeRecord]) -> dict[int, dict[str, Estimate]]:
     """Return every metric by the number of objects in the heap, fewest first."""
     counts = sorted({record.count for record in records})

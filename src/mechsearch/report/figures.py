@@ -361,7 +361,8 @@ def draw_training(run: Run) -> Figure | None:
     """
     if not run.records.get("episode"):
         return None
-    diagrams = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
+    told = _PUSHES if "pushes" in run.keys("episode") else _reinforcement(run)
+    diagrams = [one for one in told if {*one.keys} & {*run.keys(one.kind)}]
     with _style():
         figure, axes = panels(len(diagrams), 2, 4.8, 2.6)
         for ax, diagram in zip(axes, diagrams, strict=True):
@@ -394,6 +395,7 @@ def _reinforcement(run: Run) -> Sequence[_Diagram]:
     expected = "Q at the start, and the return that followed"
     return (
         _Diagram("return of each episode", "episode", ["return"], "step"),
+        _Diagram("actions of each episode", "episode", ["length"], "step"),
         _Diagram(expected, "episode", ["q_start", "return_start"], "step"),
         _Diagram("share of saturated actions", "episode", ["saturated"], "step", shares=True),
         _Diagram("who chose the actions", "episode", choices, "step", shares=True),

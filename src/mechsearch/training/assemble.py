@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mechsearch.algorithm import Evaluator, RunConfig, TrainingSetup
-from mechsearch.evaluation.episodes import EpisodeRecord, mean_interval, score
+from mechsearch.evaluation.episodes import EpisodeRecord, logged, mean_interval, score
 from mechsearch.evaluation.rollout import AnyEnv, make_environment, run
 from mechsearch.grasp.network import load_network
 from mechsearch.heaps.dataset import HeapSet
@@ -36,20 +36,14 @@ class HeapEvaluator:
     grasped: Callable[[EpisodeRecord], float] | None = None
 
     def __call__(self, policy: Policy) -> dict[str, float]:
-        """Return the mean of every metric.
-
-        With intervals, `<metric>_ci_low`, `<metric>_ci_high` and the number of `heaps` follow.
-        """
+        """Return the mean of every metric; with intervals what `episodes.logged` returns."""
         records = run(policy, self.env, self.heaps)
         scores = score(records)
         if self.grasped:
             scores["graspability_change"] = mean_interval([self.grasped(r) for r in records])
-        found = {name: estimate.mean for name, estimate in scores.items()}
         if self.intervals:
-            found |= {f"{name}_ci_low": estimate.ci_low for name, estimate in scores.items()}
-            found |= {f"{name}_ci_high": estimate.ci_high for name, estimate in scores.items()}
-            found["heaps"] = len(self.heaps)
-        return found
+            return logged(scores)
+        return {name: estimate.mean for name, estimate in scores.items()}
 
 
 def assemble(config: RunConfig[Any], heap_set: HeapSet, objects: ObjectSet) -> TrainingSetup:
