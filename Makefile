@@ -46,19 +46,11 @@ $(VENV)-%/.ready: $(READY)
 	$(BIN)/uv pip install --quiet --python $(@D)/bin/python $(PACKAGES)
 	touch $@
 
-# Source archive and wheel, each installed into an environment of its own and tried in another folder.
+# Wheel and source archive on every Python at hand, each with optional parts in an environment of its own.
 test-release: $(READY)
 	rm -rf dist
 	$(BIN)/hatchling build
-	set -e; home=$$(mktemp -d); trap 'rm -rf "$$home"' EXIT; \
-	for try in "$$(echo $(CURDIR)/dist/*.tar.gz) teacher-spiral" "$$(echo $(CURDIR)/dist/*.whl)[learn] single"; do \
-		$(BIN)/uv venv --quiet --clear --python $(BIN)/python "$$home/venv"; \
-		$(BIN)/uv pip install --quiet --python "$$home/venv/bin/python" --constraints requirements.txt "$${try% *}"; \
-		du -sm "$$home/venv"; \
-		(cd "$$home" && PATH="$$home/venv/bin:$$PATH" && mechsearch doctor && \
-			mechsearch heaps show household-single --out heaps.png && \
-			mechsearch evaluate "$${try##* }" --limit 1 --workers 1 --brief --out scores); \
-	done
+	tests/release.sh $(BIN)/uv requirements.txt dist $(PYTHONS)
 
 # A site in docs/_build/html that can be opened as a file; it asks nobody outside.
 docs: $(VENV)/.docs-ready

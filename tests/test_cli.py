@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mechsearch.cli import COMMANDS, LEARNING_COMMANDS, main
+from mechsearch.cli import COMMANDS, EXTRAS_OF, main
 from mechsearch.cli.evaluation import file_name, named
 from mechsearch.evaluation import episodes
 from mechsearch.evaluation.episodes import METRICS, Evaluation
 from mechsearch.files import alone, read_record, write_record
-from mechsearch.types import MechSearchError
+from mechsearch.types import EXTRAS, MechSearchError
 
 
 def failure(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -88,8 +88,8 @@ def test_without_ray_its_options_say_what_to_install(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    if name in LEARNING_COMMANDS:
-        pytest.importorskip("torch")
+    for extra in EXTRAS_OF[name]:
+        pytest.importorskip(EXTRAS[extra][1])
     with pytest.raises(SystemExit) as stopped:
         main([*name.split(), "--help"])
     assert stopped.value.code == 0
@@ -144,12 +144,13 @@ def test_an_unknown_option_exits_with_2(capsys: pytest.CaptureFixture[str]) -> N
     assert "--colour" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", sorted(LEARNING_COMMANDS))
-def test_learning_without_pytorch_says_what_to_install(
+@pytest.mark.parametrize("name", [name for name in COMMANDS if EXTRAS_OF[name]])
+def test_a_command_without_what_it_needs_says_what_to_install(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "pip install '.[learn]'" in failure([name, "--help"], capsys)
+    said = failure([*name.split(), "--help"], capsys)
+    assert f"pip install '.[{EXTRAS_OF[name][0]}]'" in said
 
 
 def test_an_interruption_says_that_files_are_whole(

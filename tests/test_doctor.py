@@ -8,6 +8,7 @@ import mujoco
 import pytest
 
 from mechsearch.cli import main
+from mechsearch.types import EXTRAS
 
 BASE = ("Python", "cores", "MuJoCo", "embree", "cache", "heap")
 
@@ -33,7 +34,8 @@ def test_a_bare_installation_works_and_hears_what_more_there_is(tmp_path, capsys
     assert {found[name][0] for name in BASE} == {"works"}
     assert found["MuJoCo"][1] == mujoco.__version__
     assert "an action with images takes" in found["heap"][1]
-    for name, extra in (("PyTorch", "learn"), ("Ray", "ray"), ("FFmpeg", "video")):
+    assert set(EXTRAS) == {"learn", "report", "meshes", "ray", "video"}
+    for extra, (name, _) in EXTRAS.items():
         assert found[name][0] == "missing"
         assert f"pip install '.[{extra}]'" in found[name][1]
     assert found["objects"] == ("works", f"2 meshes in {tmp_path}")
@@ -69,6 +71,7 @@ def test_where_a_library_cannot_be_loaded_doctor_still_tells_and_others_name_it(
     code = """
 import importlib.util, sys
 from mechsearch.cli import main
+from mechsearch.types import EXTRAS
 sys.modules["mujoco"] = None
 importlib.util.find_spec = lambda name: None
 main(sys.argv[1:])

@@ -74,9 +74,11 @@ class MechSearchError(Exception):
 
 
 EXTRAS = {
-    "learn": ("PyTorch", "torch"), "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
+    "learn": ("PyTorch", "torch"),
+    "report": ("Matplotlib", "matplotlib"), "meshes": ("CoACD", "coacd"),
+    "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
 }  # fmt: skip
-"""What each optional part of an installation is for: its name, and a module that it brings."""
+"""What each optional part of an installation brings: its name, and a module of it."""
 
 
 def check_extra(what: str, extra: str) -> None:

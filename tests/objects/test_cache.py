@@ -1,5 +1,6 @@
 """Claims about object files: whole, checked, and found again by content."""
 
+import importlib.util
 import warnings
 from functools import partial
 
@@ -161,6 +162,15 @@ def test_what_was_read_otherwise_is_not_taken_and_has_the_same_identity(
         hashes.add(done.model.content_hash)
     assert len(calls) == 2
     assert hashes == {cache_key(source)}
+
+
+def test_without_a_decomposition_a_mesh_is_refused_by_the_name_of_what_to_install(
+    bracket, tmp_path, monkeypatch
+):
+    bracket.export(tmp_path / "bracket.stl")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MechSearchError, match=r"bracket.stl needs CoACD: .*'\.\[meshes\]'"):
+        cache.prepare_all([Source("bracket", "", tmp_path / "bracket.stl", 0.2)], 1)
 
 
 def whole(mesh, simple):

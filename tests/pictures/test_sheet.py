@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mechsearch.pictures import canvas
 from mechsearch.pictures.canvas import captioned, legible
 from mechsearch.pictures.sheet import heap_sheet, object_sheet
 from mechsearch.types import MechSearchError
@@ -50,3 +51,15 @@ def test_empty_and_foreign_heaps_are_refused(covered, models) -> None:
         heap_sheet([], models)
     with pytest.raises(MechSearchError, match="'teapot' of another set"):
         heap_sheet([replace(covered, objects=("teapot", "lid", "small0"))], models)
+
+
+def test_without_matplotlib_a_caption_is_written_in_pillows_typeface(monkeypatch):
+    for cached in (canvas._font, canvas._glyphs):
+        cached.cache_clear()
+    with monkeypatch.context() as bare:
+        bare.setattr(canvas, "typeface", lambda: None)
+        assert legible("Schüssel 杯") == r"Schüssel \u676f"
+        drawn = captioned(Image.new("RGB", (60, 10), "white"), "fork", text=12)
+        assert np.asarray(drawn)[10:].min() < 100
+        for cached in (canvas._font, canvas._glyphs):
+            cached.cache_clear()

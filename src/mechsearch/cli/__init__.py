@@ -1,7 +1,7 @@
 """The command line: parsing and calls, nothing else.
 
 Each command is a class in a module of this package, which is imported when the command is called:
-help is quick, and only `train`, `grasp`, `demo` and trained policies need PyTorch.
+help is quick, and optional parts of an installation are needed by those alone that use them.
 """
 
 import importlib
@@ -57,10 +57,15 @@ GRIPPER_COMMANDS = {
 """Where those commands are that, with `--gripper`, are about the networks of that gripper; without
 it, about the paper's graspability."""
 
-LEARNING_COMMANDS = {
-    name for name in COMMANDS if name.split()[0] in ("train", "sweep", "pack", "grasp", "demo")
+_NEEDED = {
+    "learn": ("train", "sweep", "pack", "grasp", "demo"),
+    "report": ("report", "demo"),
 }
-"""The commands that need PyTorch."""
+EXTRAS_OF = {
+    name: [extra for extra, groups in _NEEDED.items() if name.split()[0] in groups]
+    for name in COMMANDS
+}
+"""The optional parts of an installation without which a command cannot be."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -113,8 +118,8 @@ def _dispatch(words: list[str]) -> None:
 
 
 def _call(name: str, words: list[str]) -> None:
-    if name in LEARNING_COMMANDS:
-        check_extra(f"`mechsearch {name}`", "learn")
+    for extra in EXTRAS_OF[name]:
+        check_extra(f"`mechsearch {name}`", extra)
     of_gripper = any(word.partition("=")[0] == "--gripper" for word in words)
     place = GRIPPER_COMMANDS.get(name) if of_gripper else None
     module, _, command = (place or COMMANDS[name][0]).partition(":")

@@ -21,6 +21,8 @@ from mechsearch.types import EXTRAS, MechSearchError, check_extra
 
 _NEEDED_BY = {
     "learn": "`mechsearch train`, `grasp`, or a policy that was trained",
+    "report": "`mechsearch report`",
+    "meshes": "an object made from a mesh file, such as those of YCB,",
     "ray": "work on many machines",
     "video": "an MP4 film (a GIF does not)",
 }
@@ -90,7 +92,7 @@ def _told(name: str, ask: Callable[[], str]) -> bool:
 
 
 def _say(state: str, name: str, text: object) -> None:
-    print(f"{state:8}{name:9}{' '.join(str(text).split())}", flush=True)
+    print(f"{state:8}{name:11}{' '.join(str(text).split())}", flush=True)
 
 
 def _engine() -> str:

@@ -1,5 +1,6 @@
 """`mechsearch grasp label`, `train`, `test`, `calibrate`, by gripper too; all need PyTorch."""
 
+import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from operator import attrgetter
@@ -41,9 +42,8 @@ from mechsearch.grasp.learning.training import (
 )
 from mechsearch.grasp.quality_network import quality_file
 from mechsearch.heaps.dataset import load_heaps
-from mechsearch.report.figures import draw_reliability, to_svg
 from mechsearch.retrieval.calibration import calibrate_network
-from mechsearch.types import Floats
+from mechsearch.types import Floats, check_extra
 
 
 @dataclass(frozen=True)
@@ -118,13 +118,20 @@ class JudgingCommand(Command):
     out: Path | None = None
     plot: Path | None = None
 
+    def check_places(self) -> None:
+        """Refuse a diagram that cannot be drawn here, too."""
+        super().check_places()
+        if self.plot:
+            check_extra("--plot", "report")
+
     def write(self, found: Mapping[str, Any], curves: Mapping[str, Floats]) -> None:
         """Write what was found, and draw curves (b, 3), where it was asked for."""
         if self.out:
             write_json(self.out, found)
             wrote(self.out)
         if self.plot:
-            write_text(self.plot, to_svg(draw_reliability(curves)))
+            figures = importlib.import_module("mechsearch.report.figures")
+            write_text(self.plot, figures.to_svg(figures.draw_reliability(curves)))
             wrote(self.plot)
 
 

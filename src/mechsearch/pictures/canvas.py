@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.ft2font import FT2Font
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
@@ -17,9 +17,6 @@ from mechsearch.types import Array, MechSearchError
 
 SMOOTHING = 2
 """Pictures are rendered so many times larger than they are shown."""
-
-FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-"""Folder of DejaVu, the typeface of all pictures, figures and pages."""
 
 SIDES = (16, 2048)
 """Least and greatest side of a picture [px]."""
@@ -74,17 +71,30 @@ def _note(image: Image.Image, words: str) -> None:
 
 
 @cache
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(FONTS / "DejaVuSans.ttf", size)
+def typeface() -> Path | None:
+    """Return the file of DejaVu, which Matplotlib brings; without that, None."""
+    if find_spec("matplotlib") is None:
+        return None
+    return Path(import_module("matplotlib").get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    found = typeface()
+    return ImageFont.truetype(found, size) if found else ImageFont.load_default(size)
 
 
 @cache
 def _glyphs() -> frozenset[int]:
-    return frozenset(FT2Font(str(FONTS / "DejaVuSans.ttf")).get_charmap())
+    """Return the characters of the typeface; of Pillow's own those of western Europe."""
+    found = typeface()
+    if found is None:
+        return frozenset((*range(32, 127), *range(160, 256)))
+    return frozenset(import_module("matplotlib.ft2font").FT2Font(str(found)).get_charmap())
 
 
 def legible(text: str) -> str:
-    r"""Return a text with characters that DejaVu lacks as escapes, such as \u676f."""
+    r"""Return a text with characters that its typeface lacks as escapes, such as \u676f."""
     return "".join(
         c if ord(c) in _glyphs() or c.isspace() else c.encode("unicode_escape").decode()
         for c in text

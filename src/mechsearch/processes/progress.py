@@ -1,8 +1,21 @@
-"""How long work is told of: not at all, or by bars with rate and time left."""
+"""How long work is told of: not at all, or by a line with rate and time left."""
 
+import shutil
+import sys
+import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from datetime import timedelta
+from typing import Protocol, TextIO
+
+_WINDOW = 30.0
+"""Time over which a rate is measured [s]."""
+
+_REDRAWN, _REPEATED = 0.1, 30.0
+"""Least time between two states of a line on a terminal, and between two lines in a file [s]."""
+
+_BAR = 24
 
 
 class Progress(Protocol):
@@ -20,34 +33,70 @@ def silent(label: str, done: int, total: int) -> None:
 def bars() -> Iterator[Progress]:
     """Show progress on the error stream while inside, once there is any; yields how to tell it.
 
-    The first word of a label, up to a comma, names its bar; what follows may change, such as the
-    last scores.
+    On a terminal a line is drawn again and again; in a file another follows every half a minute.
+    The first word of a label, up to a comma, names what goes on; what follows may change, such as
+    the last scores.
     """
-    from rich import progress as rich
-    from rich.console import Console
-
-    display = rich.Progress(
-        rich.TextColumn("{task.description}"),
-        rich.BarColumn(),
-        rich.MofNCompleteColumn(),
-        rich.TextColumn("{task.fields[rate]}"),
-        rich.TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    tasks: dict[str, rich.TaskID] = {}
-
-    def show(label: str, done: int, total: int) -> None:
-        name = label.split(",")[0]
-        if name not in tasks:
-            display.start()
-            # A resumed run begins in the middle: what was done before is not its rate.
-            tasks[name] = display.add_task(label, total=total, completed=done, rate="")
-        speed = next(task.speed for task in display.tasks if task.id == tasks[name])
-        rate = f"{speed:.1f}/s" if speed else ""
-        display.update(tasks[name], completed=done, total=total, description=label, rate=rate)
-
+    display = _Display(sys.stderr)
     try:
-        yield show
+        yield display
     finally:
-        if tasks:
-            display.stop()
+        display.end_line()
+
+
+class _Display:
+    """One line about what goes on now."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._moving = stream, stream.isatty()
+        self._told: dict[str, deque[tuple[float, int]]] = {}
+        self._drawn, self._open = -_REPEATED, False
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        """Take what was told, and show it if it is time to."""
+        now, name = time.monotonic(), label.split(",")[0]
+        # A resumed run begins in the middle: what was done before is not its rate.
+        told = self._told.setdefault(name, deque())
+        told.append((now, done))
+        while len(told) > 2 and now - told[0][0] > _WINDOW:
+            told.popleft()
+        wait = _REDRAWN if self._moving else _REPEATED
+        if done < total and now - self._drawn < wait and len(told) > 1:
+            return
+        self._drawn = now
+        text = f"{label}  {_state(told, total)}"
+        if self._moving:
+            width = shutil.get_terminal_size().columns - 1
+            self._stream.write(f"\r{_fitted(label, text, width)}\x1b[K")
+            self._open = True
+        else:
+            self._stream.write(f"{text}\n")
+        self._stream.flush()
+        if done >= total:
+            self.end_line()
+
+    def end_line(self) -> None:
+        """Leave what is shown as it is, and go on below."""
+        if self._open:
+            self._stream.write("\n")
+            self._stream.flush()
+        self._open = False
+
+
+def _fitted(label: str, text: str, width: int) -> str:
+    """Return a text of a width, cut where its label ends."""
+    spare = max(len(label) - max(len(text) - width, 0), 0)
+    return f"{label[:spare]}{text[len(label) :]}"[:width]
+
+
+def _state(told: deque[tuple[float, int]], total: int) -> str:
+    """Return a bar, how much is done, how fast, and how long the rest will take."""
+    (began, first), (now, done) = told[0], told[-1]
+    filled = _BAR * min(done, total) // max(total, 1)
+    parts = [f"{'━' * filled}{'─' * (_BAR - filled)} {done}/{total}"]
+    if now > began and done > first:
+        rate = (done - first) / (now - began)
+        parts.append(f"{rate:.1f}/s" if rate >= 1 else f"{60 * rate:.1f}/min")
+        if done < total:
+            parts.append(f"{timedelta(seconds=round((total - done) / rate))} left")
+    return "  ".join(parts)

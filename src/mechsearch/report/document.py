@@ -23,7 +23,7 @@ from PIL import Image
 
 from mechsearch.files import write_whole
 from mechsearch.findings.tables import Table
-from mechsearch.pictures.canvas import FONTS, legible
+from mechsearch.pictures.canvas import legible, typeface
 
 _PAGE = Path(__file__).with_name("page.html")
 # A file's date is not part of what it says, and would change its bytes.
@@ -199,8 +199,10 @@ class _Pages(FPDF):
         self.set_creation_date(_DATE)
         self.set_margins(_MARGIN, _MARGIN)
         self.set_auto_page_break(True, _MARGIN)
-        self.add_font(_FAMILY, "", FONTS / "DejaVuSans.ttf")
-        self.add_font(_FAMILY, "B", FONTS / "DejaVuSans-Bold.ttf")
+        plain = typeface()
+        assert plain is not None
+        self.add_font(_FAMILY, "", plain)
+        self.add_font(_FAMILY, "B", plain.with_name("DejaVuSans-Bold.ttf"))
         self._waiting: list[Picture] = []
 
     def normalize_text(self, text: str) -> str:

@@ -47,8 +47,8 @@ class CurveLogger:
             MechSearchError: If the directory holds a run already.
         """
         self.directory, self.name, self.seed = Path(directory), name, seed
-        self._plan = (None if heaps is None else Path(heaps), name, objects, "held-out", limit, 0)
-        self._task, self._workers = task, workers
+        self._heaps, self._objects = None if heaps is None else Path(heaps), objects
+        self._limit, self._task, self._workers = limit, task, workers
         if (self.directory / CONFIG_FILE).exists():
             raise MechSearchError(f"{self.directory} holds a run already; name another")
         known = {"task": asdict(task)} if task else {}
@@ -82,8 +82,10 @@ class CurveLogger:
             The mean of every metric, and its confidence interval; see `episodes.measure`.
         """
         acts = policy if isinstance(policy, Policy) else _Function(policy, tuple(keys))
-        heaps, *rest = self._plan
-        found = evaluate_plan(EvaluationPlan(acts, heaps, *rest, self._task), self._workers)
+        plan = EvaluationPlan(
+            acts, self._heaps, self.name, self._objects, limit=self._limit, task=self._task
+        )
+        found = evaluate_plan(plan, self._workers)
         who = {"trained": True, "training_seed": self.seed, "training_actions": int(step)}
         save_episodes(
             self.directory / f"{self.name}.npz", Evaluation({**found.header, **who}, found.episodes)

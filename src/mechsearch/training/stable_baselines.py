@@ -48,7 +48,8 @@ class CurveCallback(BaseCallback):
     def _look(self) -> None:
         """Score the model as it is; the next time is a whole number of intervals away."""
         step = self.num_timesteps
-        self._log.evaluate(step, self._act, tuple(self.model.observation_space.spaces))
+        space: Any = self.model.observation_space
+        self._log.evaluate(step, self._act, tuple(space.spaces))
         self._next = step - step % self._every + self._every
 
     def _act(self, obs: Any) -> Any:

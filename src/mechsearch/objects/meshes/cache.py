@@ -22,7 +22,7 @@ from mechsearch.objects.meshes.reading import (
 )
 from mechsearch.objects.model import FLAGGED_ERROR, FRICTION, TEXEL_ROWS, ObjectModel
 from mechsearch.processes import PROCESSORS, Failure, Progress, map_in_order, silent
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, MechSearchError, check_extra
 
 _TEXTS = ("name", "category", "content_hash")
 _SCALARS = ("mass", "friction", "hull_error")
@@ -50,6 +50,8 @@ def prepare_all(
     """
     found = {source: _kept(source) for source in sources}
     todo = [source for source, done in found.items() if done is None]
+    if todo:
+        check_extra(f"preparing {todo[0].mesh}", "meshes")
     # A worker, which loads a set again, has no workers of its own, and nobody to tell.
     first = parent_process() is None
     crew = min(workers or PROCESSORS, len(todo)) if first else 1

@@ -5,9 +5,9 @@ Not every object can lie in a heap: of those that cannot, the reason is told.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -143,7 +143,7 @@ def simplified(mesh: trimesh.Trimesh) -> tuple[Floats, NDArray[np.int32]]:
     """
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) > MOST_FACES:
-        vertices, faces = fast_simplification.simplify(
+        vertices, faces = import_module("fast_simplification").simplify(
             np.ascontiguousarray(vertices, np.float64),
             np.ascontiguousarray(faces, np.int32),
             target_count=MOST_FACES,

@@ -1,0 +1,61 @@
+#!/bin/bash
+# What pip installs: wheel and source archive, with each set of optional parts, on each Python, tried in another folder.
+# Usage: release.sh UV CONSTRAINTS DIST PYTHON...
+set -euo pipefail
+uv=$(realpath "$1") constraints=$(realpath "$2") dist=$(realpath "$3")
+shift 3
+home=$(mktemp -d)
+trap 'rm -rf "$home"' EXIT
+export MECHSEARCH_CACHE="$home/cache" PYTHONPATH=
+
+# Says what is being tried; shows what it printed only if it fails.
+try() {
+	if ! "$@" >"$home/said" 2>&1; then
+		echo "failed: $*"
+		cat "$home/said"
+		exit 1
+	fi
+}
+
+base() {
+	try mechsearch doctor
+	try mechsearch heaps show household-single --out heaps.png
+	try mechsearch evaluate teacher-spiral --limit 1 --workers 2 --brief
+	try mechsearch show evaluations/teacher-spiral.npz --out episode.gif
+	try mechsearch export episodes evaluations/teacher-spiral.npz --format minari --out data --workers 1
+	# What is not installed is named, with what to install.
+	if mechsearch report evaluations 2>"$home/said"; then exit 1; fi
+	grep -q "pip install '.\[report\]'" "$home/said"
+}
+
+learn() {
+	try mechsearch evaluate single --limit 1 --workers 1 --brief
+	try mechsearch train debug --heaps household-single --out run
+}
+
+all() {
+	learn
+	try mechsearch report evaluations run --out report.html --pdf report.pdf
+	printf 'v -%s 0 0\nv %s 0 0\nv 0 .05 0\nv 0 0 .04\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n' .05 .05 >wedge.obj
+	mkdir -p toys && mv wedge.obj toys && printf 'object,mass_kg\nwedge,0.05\n' >toys/masses.csv
+	try mechsearch objects list --objects toys
+}
+
+robot() {
+	try mechsearch doctor
+}
+
+for python in "$@"; do
+	for extra in base learn all $(grep -o "^robot = " pyproject.toml | cut -d' ' -f1); do
+		for file in "$dist"/*.whl "$dist"/*.tar.gz; do
+			# An archive builds the same wheel: once is enough.
+			if [[ $file == *.gz && ($extra != base || $python != "$1") ]]; then continue; fi
+			rm -rf "$home/tried" "$home/venv" && mkdir "$home/tried"
+			"$uv" venv --quiet --python "$python" "$home/venv"
+			"$uv" pip install --quiet --python "$home/venv/bin/python" --constraints "$constraints" \
+				"$file$([[ $extra == base ]] || echo "[$extra]")"
+			(cd "$home/tried" && PATH="$home/venv/bin:$PATH" && $extra)
+			echo "$("$python" --version) ${file##*.} $extra: works, $(du -sm "$home/venv" | cut -f1) MB"
+		done
+	done
+done
