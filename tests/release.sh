@@ -35,6 +35,7 @@ learn() {
 
 all() {
 	learn
+	try mechsearch show evaluations/single-*.npz --out episode.mp4
 	try mechsearch report evaluations run --out report.html --pdf report.pdf
 	printf 'v -%s 0 0\nv %s 0 0\nv 0 .05 0\nv 0 0 .04\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n' .05 .05 >wedge.obj
 	mkdir -p toys && mv wedge.obj toys && printf 'object,mass_kg\nwedge,0.05\n' >toys/masses.csv
@@ -45,17 +46,19 @@ robot() {
 	try mechsearch doctor
 }
 
-for python in "$@"; do
-	for extra in base learn all $(grep -o "^robot = " pyproject.toml | cut -d' ' -f1); do
+for extra in base learn $(grep -o "^robot = " pyproject.toml | cut -d' ' -f1) all; do
+	for python in "$@"; do
 		for file in "$dist"/*.whl "$dist"/*.tar.gz; do
-			# An archive builds the same wheel: once is enough.
-			if [[ $file == *.gz && ($extra != base || $python != "$1") ]]; then continue; fi
+			# An archive builds the same wheel, and all parts together are each part: once is enough.
+			if [[ $python != "$1" && ($extra == all || $file == *.gz) ]]; then continue; fi
+			if [[ $extra != base && $file == *.gz ]]; then continue; fi
 			rm -rf "$home/tried" "$home/venv" && mkdir "$home/tried"
 			"$uv" venv --quiet --python "$python" "$home/venv"
 			"$uv" pip install --quiet --python "$home/venv/bin/python" --constraints "$constraints" \
 				"$file$([[ $extra == base ]] || echo "[$extra]")"
+			size=$(du -sm "$home/venv" | cut -f1)
 			(cd "$home/tried" && PATH="$home/venv/bin:$PATH" && $extra)
-			echo "$("$python" --version) ${file##*.} $extra: works, $(du -sm "$home/venv" | cut -f1) MB"
+			echo "$("$python" --version) ${file##*.} $extra: works, $size MB"
 		done
 	done
 done

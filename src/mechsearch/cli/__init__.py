@@ -26,6 +26,7 @@ COMMANDS = {
     "heaps verify": ("heaps:VerifyHeaps", "prove that every heap rests, hidden as recorded"),
     "train": ("training:Train", "train an actor, or go on with a run"),
     "evaluate": ("evaluation:Evaluate", "score policies on heaps and record the episodes"),
+    "status": ("status:Status", "how far runs and sweeps are, at work or not"),
     "sweep": ("sweeping:Sweep", "every experiment of the paper, by one command"),
     "verify": ("evaluation:Verify", "play recorded episodes again: the same bits?"),
     "show": ("evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"),

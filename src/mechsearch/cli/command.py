@@ -66,8 +66,10 @@ class Command:
             words: Of the command line.
         """
         if not self.keeps:
-            return "files already written are whole, nothing else is kept"
-        return f"{self.keeps} kept; go on by `{shlex.join(['mechsearch', *words])}`"
+            left, verb = "files already written are whole, nothing else is", "begin anew"
+        else:
+            left, verb = self.keeps, "go on"
+        return f"{left} kept; {verb} by `{shlex.join(['mechsearch', *words])}`"
 
 
 def parsed(

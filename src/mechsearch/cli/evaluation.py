@@ -274,7 +274,8 @@ class ShowEpisode(OfObjects):
         models = models_of(evaluation, self.objects)
         film = film_of(evaluation.header, record, models, config, moving, replayed)
         if moving:
-            write_film(self.out, film, self.rate)
+            with bars() as progress:
+                write_film(self.out, film, self.rate, progress)
         else:
             picture = start_and_end(film) if self.frames == 2 else filmstrip(film, self.frames)
             write_whole(self.out, picture.save)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import Command, models_of, say, wrote
+from mechsearch.cli.command import Command, bars, models_of, say, wrote
 from mechsearch.evaluation.episodes import Evaluation, read_summary
 from mechsearch.files import check_place, write_text
 from mechsearch.findings.analysis import analyse
@@ -60,7 +60,9 @@ class Report(Command):
         found = analyse(read_experiment(*self.sources))
         planned = found.experiment.plan is not None
         models = self._models(found.experiment) if self.pictures else None
-        text = document(found, self.title or _title(found.experiment), models, replayed)
+        title = self.title or _title(found.experiment)
+        with bars() as progress:
+            text = document(found, title, models, replayed, progress)
         write_text(out, to_html(text))
         pdf = self.pdf or (out.with_suffix(".pdf") if planned else None)
         if pdf:

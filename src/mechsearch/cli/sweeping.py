@@ -9,10 +9,12 @@ import tyro
 
 from mechsearch.cli.command import Spread, say, wrote
 from mechsearch.cli.overrides import optional, overridden
+from mechsearch.cli.status import run_status
 from mechsearch.env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
+from mechsearch.experiments.jobs import Training
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
-from mechsearch.experiments.sweep import DONE, STATES, SweepStatus, carry_out, status_of
+from mechsearch.experiments.sweep import DONE, RUNNING, STATES, SweepStatus, carry_out, status_of
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.retrieval.assessment import assessor
 
@@ -49,7 +51,7 @@ class Sweep(Spread):
         """Carry the plan out; exit with 1 if something of it is missing in the end."""
         folder = SweepFolder(self.out)
         if self.status:
-            _report(status_of(folder))
+            say_status(self.out)
             return
         begun = folder.plan.exists() and not self.quick
         base = read_plan(folder) if begun else QUICK if self.quick else SweepPlan()
@@ -65,6 +67,21 @@ class Sweep(Spread):
         wrote(folder.curves)
         if found.count(DONE) < len(found.jobs):
             raise SystemExit(1)
+
+
+def say_status(out: Path) -> bool:
+    """Say how far the sweep in a folder is; return whether somebody is at work in it.
+
+    Raises:
+        MechSearchError: If there is no sweep.
+    """
+    found = status_of(SweepFolder(out))
+    _report(found)
+    running = [one.job for one in found.jobs if one.state == RUNNING]
+    for job in running:
+        if isinstance(job, Training) and job.directory.is_dir():
+            say(run_status(job.directory)[0])
+    return bool(running)
 
 
 class _Teller:

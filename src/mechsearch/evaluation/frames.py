@@ -108,7 +108,7 @@ def frames_of(
     workers: int = 1,
     progress: Progress = silent,
     mapper: Mapper = map_in_order,
-    lost: Callable[[str], object] = str,
+    lost: Callable[[str], object] = lambda _: None,
 ) -> Iterator[Frames]:
     """Yield each episode as it was seen, in their order, but for those that cannot be shown.
 

@@ -14,6 +14,7 @@ from mechsearch.files.layout import (
     PLAN_FILE,
     POLICIES_FOLDER,
     POLICY_FILE,
+    PROGRESS_FILE,
     RUNS_FOLDER,
     SCORES_SUFFIX,
     SPEED_FILE,

@@ -17,6 +17,9 @@ METRICS_FILE = "metrics.jsonl"
 SPEED_FILE = "speed.jsonl"
 """What depends on the machine, likewise."""
 
+PROGRESS_FILE = "progress.json"
+"""How far a run is, for those who watch it; it depends on the machine, too."""
+
 EVENTS_FOLDER = "tensorboard"
 CHECKPOINTS_FOLDER = "checkpoints"
 POLICIES_FOLDER = "actors"

@@ -366,20 +366,32 @@ def _dot(
     draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
 
 
-def write_film(path: Path, film: Film, rate: float = 6.0) -> None:
+def write_film(
+    path: Path,
+    film: Film,
+    rate: float = 6.0,
+    progress: Callable[[str, int, int], object] = lambda *_: None,
+) -> None:
     """Write an episode as GIF or MP4, whole or not at all; the last frame stays for a second.
 
     Args:
         path: Ends in .gif or .mp4.
         film: The episode.
         rate: Moments shown in a second.
+        progress: Told after each frame.
 
     Raises:
         MechSearchError: As `check_film`.
     """
     check_film(path, rate)
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-    write_whole(path, lambda partial: write(partial, film, rate))
+    write_whole(path, lambda partial: write(partial, _drawn(film, progress), rate))
+
+
+def _drawn(film: Film, progress: Callable[[str, int, int], object]) -> Iterator[Image.Image]:
+    for number in range(film.last + 1):
+        yield film.frame(number)
+        progress("frames", number + 1, film.last + 1)
 
 
 def check_film(path: Path, rate: float = 6.0) -> None:
@@ -396,9 +408,8 @@ def check_film(path: Path, rate: float = 6.0) -> None:
         check_extra(f"{path} (as .gif it does not)", "video")
 
 
-def _write_gif(path: Path, film: Film, rate: float) -> None:
-    last = film.last
-    frames = [film.frame(number) for number in range(last + 1)]
+def _write_gif(path: Path, drawn: Iterator[Image.Image], rate: float) -> None:
+    frames = list(drawn)
     # One palette for all frames, from the two that differ most: colours do not flicker.
     palette = tiled([frames[0], frames[-1]], 2, gap=0).quantize(256, dither=Image.Dither.NONE)
     reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -407,24 +418,23 @@ def _write_gif(path: Path, film: Film, rate: float) -> None:
         path,
         save_all=True,
         append_images=reduced[1:],
-        duration=[duration] * last + [duration + 1000],
+        duration=[duration] * (len(frames) - 1) + [duration + 1000],
         loop=0,
         disposal=1,
     )
 
 
-def _write_mp4(path: Path, film: Film, rate: float) -> None:
+def _write_mp4(path: Path, drawn: Iterator[Image.Image], rate: float) -> None:
     import imageio_ffmpeg
 
-    last = film.last
-    steps = [*range(last + 1), *[last] * max(1, round(rate))]
-    first = _even(film.frame(0))
+    frames = list(map(_even, drawn))
+    first = frames[0]
     writer = imageio_ffmpeg.write_frames(
         str(path), (first.shape[1], first.shape[0]), fps=rate, macro_block_size=2, quality=8
     )
     writer.send(None)
-    for step in steps:
-        writer.send(_even(film.frame(step)))
+    for frame in (*frames, *[frames[-1]] * max(1, round(rate))):
+        writer.send(frame)
     writer.close()
 
 

@@ -50,20 +50,24 @@ class _Display:
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._moving = stream, stream.isatty()
         self._told: dict[str, deque[tuple[float, int]]] = {}
-        self._drawn, self._open = -_REPEATED, False
+        self._drawn, self._open, self._label = -_REPEATED, False, ""
 
     def __call__(self, label: str, done: int, total: int) -> None:
         """Take what was told, and show it if it is time to."""
         now, name = time.monotonic(), label.split(",")[0]
+        if name != self._label.split(",")[0]:
+            self.end_line()
         # A resumed run begins in the middle: what was done before is not its rate.
         told = self._told.setdefault(name, deque())
         told.append((now, done))
         while len(told) > 2 and now - told[0][0] > _WINDOW:
             told.popleft()
         wait = _REDRAWN if self._moving else _REPEATED
-        if done < total and now - self._drawn < wait and len(told) > 1:
+        # What is begun now may take long.
+        anew = len(told) == 1 or (self._moving and label != self._label)
+        if done < total and now - self._drawn < wait and not anew:
             return
-        self._drawn = now
+        self._drawn, self._label = now, label
         text = f"{label}  {_state(told, total)}"
         if self._moving:
             width = shutil.get_terminal_size().columns - 1
@@ -72,8 +76,6 @@ class _Display:
         else:
             self._stream.write(f"{text}\n")
         self._stream.flush()
-        if done >= total:
-            self.end_line()
 
     def end_line(self) -> None:
         """Leave what is shown as it is, and go on below."""

@@ -5,7 +5,7 @@ Pictures of episodes are chosen by rule, not by hand.
 
 import io
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 
 from matplotlib.figure import Figure
@@ -58,6 +58,7 @@ def document(
     title: str,
     models: Mapping[str, Models] | None = None,
     play: Play = recorded,
+    progress: Callable[[str, int, int], object] = lambda *_: None,
 ) -> Document:
     """Return the whole report.
 
@@ -66,6 +67,7 @@ def document(
         title: At its head.
         models: Objects by name for each condition, to draw episodes; None leaves pictures out.
         play: Makes what is drawn of an episode of retrieval.
+        progress: Told before each section, and in the end.
     """
     experiment = found.experiment
     planned = experiment.plan is not None
@@ -92,7 +94,11 @@ def document(
     notes = (Paragraph(note, "note") for note in analysis.made_notes(experiment))
     tables = map(analysis.made_table, experiment.conditions.values())
     sections["How this was made"] = chain(tables, notes)
-    filled = [Section(name, list(blocks)) for name, blocks in sections.items()]
+    filled = []
+    for done, (name, blocks) in enumerate(sections.items()):
+        progress(f"report, {name}", done, len(sections))
+        filled.append(Section(name, list(blocks)))
+    progress("report", len(sections), len(sections))
     return Document(title, analysis.lead(experiment), [one for one in filled if one.blocks])
 
 

@@ -38,7 +38,13 @@ def learn(
         session.restore(checkpoint.tensors, checkpoint.meta)
     log, scores = RunLog(directory, checkpoint), dict[str, float]()
 
+    def tell(doing: str = "") -> None:
+        label = _label(config.name, scores)
+        named = f"{label}, {doing}" if doing else label
+        progress(named, session.executed, schedule.actions)
+
     def look(step: int) -> dict[str, float]:
+        tell("learning")
         for line in session.catch_up(step):
             log.write(*line)
         policy = trained(session.policy, config.algorithm, session.executed, config.task)
@@ -46,6 +52,7 @@ def learn(
         return _evaluate(policy, step)
 
     def _evaluate(policy: Any, step: int) -> dict[str, float]:
+        tell("scoring")
         found = {name: dict(score(policy)) for name, score in setup.evaluators.items()}
         for name, values in found.items():
             log.write(name, step, values)
@@ -58,7 +65,7 @@ def learn(
             for lines in session.advance(stop):
                 for line in lines:
                     log.write(*line)
-                progress(_label(config.name, scores), session.executed, schedule.actions)
+                tell()
         if stop % schedule.evaluate_every == 0:
             scores = look(stop)
         if stop % schedule.checkpoint_every == 0 or stop == schedule.actions:
@@ -66,6 +73,7 @@ def learn(
     # After the checkpoint: a run that is made longer later does not look here.
     if schedule.actions % schedule.evaluate_every:
         scores = look(schedule.actions)
+    tell()
     log.close()
     return scores
 

@@ -1,8 +1,9 @@
 """A training run from files, and the record of what it was made from."""
 
 import os
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,12 @@ from mechsearch.algorithm import RunConfig
 from mechsearch.files import (
     CONFIG_FILE,
     INPUTS_FILE,
+    PROGRESS_FILE,
     alone,
     crossed,
     fingerprint,
     read_record,
+    write_json,
     write_record,
 )
 from mechsearch.heaps.dataset import HeapSet, open_heaps
@@ -80,7 +83,32 @@ def train(
     with alone(directory / "run", f"the run {directory}"):
         heap_set, found = open_heaps(inputs.heaps, inputs.objects)
         _record(inputs, heap_set, directory, resume, fingerprint(run.schedule.threads))
-        return learn(run, assemble(run, heap_set, found), directory, resume, progress)
+        setup = assemble(run, heap_set, found)
+        return learn(run, setup, directory, resume, _Watched(directory, progress))
+
+
+_KEPT_EVERY = 5.0
+"""Time between two states of the progress on disk [s]."""
+
+
+@dataclass
+class _Watched:
+    """Progress that is kept on disk too, where `mechsearch status` finds it."""
+
+    directory: Path
+    progress: Progress
+    began: list[float] = field(default_factory=list)
+    kept: float = 0.0
+
+    def __call__(self, label: str, done: int, total: int) -> None:
+        self.progress(label, done, total)
+        now = time.time()
+        self.began = self.began or [now, done]
+        if now - self.kept >= _KEPT_EVERY or done >= total:
+            self.kept = now
+            state = {"label": label, "done": done, "total": total}
+            told = {**state, "time": round(now, 1), "began": self.began}
+            write_json(self.directory / PROGRESS_FILE, told)
 
 
 def _read(directory: Path) -> dict[str, Any]:
