@@ -77,6 +77,12 @@ class Camera:
             [self.fx * local[..., 0] / z + self.cx, self.fy * local[..., 1] / z + self.cy, z], -1
         )
 
+    def project_level(self, x: Floats, y: Floats, height: float) -> tuple[Floats, Floats]:
+        """Return (column, row) (...) [px] of points of one height [m]; see `project`."""
+        onto = invert(self.pose)
+        across, down, z = (row[0] * x + row[1] * y + row[2] * height + row[3] for row in onto[:3])
+        return self.fx * across / z + self.cx, self.fy * down / z + self.cy
+
     def back_project(self, depth: ArrayLike) -> Floats:
         """Return the world point (H, W, 3) [m] that each pixel of a depth image (H, W) shows."""
         z = np.asarray(depth, dtype=np.float64)

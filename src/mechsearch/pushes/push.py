@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.pushes.route import Route, RouteConfig
+from mechsearch.pushes.route import Route, RouteConfig, approaches, waypoints_along
 from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
 
 Shape = Callable[[Floats, float], Floats]
@@ -31,7 +31,7 @@ def straight(
     middle: Floats, direction: float, before: float = REACH, after: float = REACH
 ) -> Floats:
     """Return both ends (2, 2) of a line through `middle` (2,), from `before` to `after` it [m]."""
-    return middle + np.outer([-before, after], _unit(direction))
+    return middle + np.array([[-before], [after]]) * _unit(direction)
 
 
 def zigzag(middle: Floats, direction: float, reach: float = REACH) -> Floats:
@@ -113,10 +113,16 @@ class Push:
 
     def path(self, centre: Floats) -> Floats:
         """Return its waypoints (N, 2) [m] about a target at `centre`."""
-        middle = self.middle(centre)
+        return self._laid(self.middle(centre), self.direction, self.mirrored)
+
+    def own_path(self) -> Floats:
+        """Return its waypoints (N, 2) [m] in its own axes, about the point that it passes."""
+        return self._laid(np.zeros(2), 0.0, False)
+
+    def _laid(self, middle: Floats, direction: float, mirrored: bool) -> Floats:
         if self.kind == "spiral":
-            return spiral(middle, self.direction, self.turns, self.mirrored)
-        return straight(middle, self.direction, self.before, self.after)
+            return spiral(middle, direction, self.turns, mirrored)
+        return straight(middle, direction, self.before, self.after)
 
 
 def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
@@ -164,6 +170,9 @@ _ON_TABLE = 0.012
 
 _SEEN = RouteConfig(travel_clearance=0.03, beside=0.035, above=0.02)
 """Teachers know the middles of objects, and keep away from them; a camera sees their surfaces."""
+
+
+_UNSEEN = "a push needs a target of which something is visible; got none"
 
 
 @dataclass(frozen=True)
@@ -243,17 +252,16 @@ class PlannedPush:
             MechSearchError: If no part of the target is visible.
         """
         if sight.centre is None:
-            raise MechSearchError("a push needs a target of which something is visible; got none")
+            raise MechSearchError(_UNSEEN)
         self._target, self._others = sight.centre, sight.obstacles
         self._route = Route(replace(_SEEN, clearance=push.height))
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
         self.path = self._route.push[:, :2].copy()
         way = np.vstack([sight.ee_position, self._route.waypoints])
         first = len(way) - len(self._route.push)
-        self.start = way[first]
-        self.flies = first > 1
-        self.approach = self._actions(way[: first + 1])
-        self.length = self._actions(way[first:])
+        self.start, self.flies = way[first], first > 1
+        legs = _actions(way[1:] - way[:-1])
+        self.approach, self.length = float(legs[:first].sum()), float(legs[first:].sum())
 
     def act(self, obs: Observation) -> NDArray[np.float32] | None:
         """Return the next action (3,), or None at the end; "ee_position" is read."""
@@ -261,10 +269,32 @@ class PlannedPush:
             np.asarray(obs["ee_position"], np.float64), self._target, self._others
         )
 
-    def _actions(self, way: Floats) -> float:
-        """Return how many actions a way takes; a waypoint counts as reached from nearby."""
-        lengths = np.linalg.norm(np.diff(way, axis=0), axis=1) - self._route.config.tolerance
-        return float(np.ceil(np.maximum(lengths, 0) / ACTION_LENGTH).sum())
+
+class _Plans:
+    """How n pushes will go, by arrays of all: `starts`, `flies`, `approach` and `length`."""
+
+    def __init__(self, waypoints: Floats, counts: Array, sight: Sight) -> None:
+        """Plan pushes along waypoints (N, 3), of which each has its count."""
+        assert sight.centre is not None
+        first = np.cumsum(counts) - counts
+        self.starts = waypoints[first]
+        way = approaches(self.starts, sight.ee_position, sight.centre, sight.obstacles, _SEEN)
+        self.flies = way.flies
+        here = np.broadcast_to(sight.ee_position, self.starts.shape)
+        corners = [here[:, None], way.waypoints, self.starts[:, None]]
+        self.approach = _actions(np.diff(np.concatenate(corners, axis=1), axis=1)).sum(axis=1)
+        legs = np.zeros(len(waypoints))
+        legs[1:] = _actions(np.diff(waypoints, axis=0))
+        # From one push to the next there is no leg.
+        legs[first] = 0
+        self.length = np.add.reduceat(legs, first) if len(first) else legs
+
+
+def _actions(legs: Floats) -> Floats:
+    """Return how many actions legs (..., 3) take; a waypoint counts as reached from nearby."""
+    lengths = np.linalg.norm(legs, axis=-1) - _SEEN.tolerance
+    actions: Floats = np.ceil(np.maximum(lengths, 0) / ACTION_LENGTH)
+    return actions
 
 
 @dataclass(frozen=True)
@@ -288,87 +318,137 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
     Raises:
         MechSearchError: If no part of the target is visible.
     """
-    planned = [PlannedPush(push, sight) for push in pushes]
-    heights = np.array([plan.start[2] for plan in planned])
-    numbers = [_numbers(push, plan, sight) for push, plan in zip(pushes, planned, strict=True)]
-    actions = [plan.approach + plan.length for plan in planned]
+    centre = sight.centre
+    if centre is None:
+        raise MechSearchError(_UNSEEN)
+    frames = _Frames(pushes, centre)
+    paths = [push.path(centre) for push in pushes]
+    counts = np.array([len(path) for path in paths], np.intp)
+    heights = np.repeat([push.height for push in pushes], counts)
+    way = np.concatenate([np.zeros((0, 2)), *paths])
+    plans = _Plans(waypoints_along(way, centre, heights, _SEEN), counts, sight)
     return PushViews(
-        _patches(pushes, heights, sight),
-        np.array(numbers, np.float32).reshape(-1, NUMBERS),
-        np.array(actions, np.float32),
+        _patches(pushes, frames, plans.starts[:, 2], sight),
+        _numbers(pushes, frames, plans, sight),
+        (plans.approach + plans.length).astype(np.float32),
     )
 
 
-def _patches(pushes: Sequence[Push], heights: Floats, sight: Sight) -> NDArray[np.float16]:
+class _Frames:
+    """The axes and middles (n, 2) of n pushes, as `Push` has them of one."""
+
+    def __init__(self, pushes: Sequence[Push], centre: Floats) -> None:
+        directions = np.array([push.direction for push in pushes])
+        lateral = np.array([push.lateral for push in pushes])
+        side = np.array([-1.0 if push.mirrored else 1.0 for push in pushes])
+        self.along = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+        left = np.stack([-self.along[:, 1], self.along[:, 0]], axis=-1)
+        self.across = side[:, None] * left
+        self.middles = centre[:2] + lateral[:, None] * left
+
+
+_BLOCK = 8
+"""Patches drawn at a time: what is computed of them stays in a processor's cache."""
+
+
+def _patches(
+    pushes: Sequence[Push], frames: _Frames, heights: Floats, sight: Sight
+) -> NDArray[np.float16]:
     assert sight.centre is not None
-    axes = np.array([push.axes for push in pushes]).reshape(-1, 2, 1, 1, 2)
-    middles = np.array([push.middle(sight.centre) for push in pushes]).reshape(-1, 1, 1, 2)
-    u, v = _grid()
-    places = middles + u[..., None] * axes[:, 0] + v[..., None] * axes[:, 1]
-    level = np.full((*places.shape[:-1], 1), max(sight.centre[2], 0.02))
-    pixels = sight.camera.project(np.concatenate([places, level], axis=-1))
-    layers = np.stack([sight.heights, sight.target.astype(np.float64)])
-    height, target = _sample(layers, pixels[..., 1], pixels[..., 0])
-    above = height - heights[:, None, None]
-    paths = np.array([_path_image(push) for push in pushes]).reshape(-1, *PATCH[1:])
-    return np.stack([10 * height, 10 * above, target, paths], axis=1).astype(np.float16)
+    patches = np.empty((len(pushes), *PATCH), np.float16)
+    level = max(sight.centre[2], 0.02)
+    framed = np.pad([sight.heights, sight.target], ((0, 0), (1, 1), (1, 1)))
+    for first in range(0, len(pushes), _BLOCK):
+        some = slice(first, first + _BLOCK)
+        x, y = (
+            frames.middles[some, i, None, None]
+            + _STEPS * frames.along[some, i, None, None]
+            + _STEPS[:, None] * frames.across[some, i, None, None]
+            for i in range(2)
+        )
+        column, row = sight.camera.project_level(x, y, level)
+        height, target = _sample(framed, row, column)
+        patches[some, 0] = 10 * height
+        patches[some, 1] = 10 * (height - heights[some, None, None])
+        patches[some, 2] = target
+    patches[:, 3] = _path_images(pushes)
+    return patches
 
 
-@lru_cache(maxsize=1)
-def _grid() -> tuple[Floats, Floats]:
-    steps = (np.arange(PATCH[1]) - (PATCH[1] - 1) / 2) * CELL
-    u, v = np.meshgrid(steps, steps)
-    return u, v
+_STEPS = (np.arange(PATCH[1]) - (PATCH[1] - 1) / 2) * CELL
 
 
-def _path_image(push: Push) -> Floats:
-    """Return a path in its push's own frame (32, 32): 1 on it, falling to 0 beside it."""
-    own = replace(push, direction=0.0, lateral=0.0, mirrored=False)
-    way = own.path(np.zeros(2))
-    x, y = way[:-1, 0], way[:-1, 1]
-    dx, dy = np.diff(way[:, 0]), np.diff(way[:, 1])
-    u, v = (axis[..., None] for axis in _grid())
-    along = ((u - x) * dx + (v - y) * dy) / (dx * dx + dy * dy)
-    along = np.minimum(np.maximum(along, 0), 1)
-    away = np.hypot(x + along * dx - u, y + along * dy - v).min(axis=-1)
-    image: Floats = np.maximum(1 - away / _WIDTH, 0)
-    return image
+def _path_images(pushes: Sequence[Push]) -> Floats:
+    """Return paths in their pushes' own frames (n, 32, 32): 1 on them, falling to 0 beside them."""
+    ways = [push.own_path() for push in pushes]
+    points = np.concatenate([np.zeros((1, 2)), *ways])
+    pushed = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
+    inner = np.append(pushed[1:] == pushed[:-1], False)[: len(pushed)]
+    starts, owner = points[1:][inner], pushed[inner]
+    legs = points[2:][inner[:-1]] - starts
+    # Most pixels are beside no leg.
+    low = np.minimum(legs, 0) + starts - _WIDTH
+    high = np.maximum(legs, 0) + starts + _WIDTH
+    near = (low[..., None] < _STEPS) & (high[..., None] > _STEPS)
+    both = near[:, 1, :, None] & near[:, 0, None, :]
+    # Several times as fast as `nonzero`.
+    leg, row, column = np.unravel_index(np.flatnonzero(both), both.shape)
+    (x, y), (dx, dy) = starts.T[:, leg], legs.T[:, leg]
+    u, v = _STEPS[column] - x, _STEPS[row] - y
+    along = np.clip((u * dx + v * dy) / (dx * dx + dy * dy), 0, 1)
+    u -= along * dx
+    v -= along * dy
+    nearest = np.full(len(ways) * PATCH[1] * PATCH[2], _WIDTH**2)
+    pixel = (owner[leg] * PATCH[1] + row) * PATCH[2] + column
+    np.minimum.at(nearest, pixel, u * u + v * v)
+    images: Floats = np.maximum(1 - np.sqrt(nearest) / _WIDTH, 0)
+    return images.reshape(-1, *PATCH[1:])
 
 
-def _sample(layers: Floats, rows: Floats, columns: Floats) -> Floats:
-    """Return images (C, H, W) between pixels, at places (...,); 0 outside: (C, ...)."""
-    framed = np.pad(layers, ((0, 0), (1, 1), (1, 1)))
+def _sample(framed: Floats, rows: Floats, columns: Floats) -> list[Floats]:
+    """Return images between pixels, each at places (...,); 0 outside.
+
+    Args:
+        framed: The images in a frame of zeros, one pixel wide (C, H + 2, W + 2).
+        rows: Of the places in the images [px].
+        columns: Likewise.
+    """
     height, width = framed.shape[1:]
     rows = np.clip(rows + 1, 0, height - 1.001)
     columns = np.clip(columns + 1, 0, width - 1.001)
     row, column = rows.astype(np.intp), columns.astype(np.intp)
     down, right = rows - row, columns - column
-    flat, place = framed.reshape(len(framed), -1), row * width + column
-    upper = flat[:, place] * (1 - right) + flat[:, place + 1] * right
-    lower = flat[:, place + width] * (1 - right) + flat[:, place + width + 1] * right
-    sampled: Floats = upper * (1 - down) + lower * down
+    up, left = 1 - down, 1 - right
+    place = row * width + column
+    sampled = []
+    for flat in framed.reshape(len(framed), -1):
+        upper = flat.take(place) * left + flat[1:].take(place) * right
+        lower = flat[width:].take(place) * left + flat[width + 1 :].take(place) * right
+        sampled.append(upper * up + lower * down)
     return sampled
 
 
-def _numbers(push: Push, planned: PlannedPush, sight: Sight) -> list[float]:
+def _numbers(
+    pushes: Sequence[Push], frames: _Frames, plans: _Plans, sight: Sight
+) -> NDArray[np.float32]:
     assert sight.centre is not None
-    along, across = push.axes
-    middle, tip = push.middle(sight.centre), planned.start[2]
-    away = sight.ee_position[:2] - middle
-    return [
-        20 * float((middle - sight.centre[:2]) @ across),
-        8 * push.before,
-        8 * push.after,
-        push.turns,
+    n, tip, ee = len(pushes), plans.starts[:, 2], sight.ee_position
+    away = ee[:2] - frames.middles
+    columns = [
+        20 * ((frames.middles - sight.centre[:2]) * frames.across).sum(axis=1),
+        np.array([8 * push.before for push in pushes]),
+        np.array([8 * push.after for push in pushes]),
+        np.array([push.turns for push in pushes]),
         10 * tip,
         20 * (tip - sight.centre[2]),
-        10 * sight.centre[2],
-        float(sight.target.mean()) * 100,
-        float(push.kind == KINDS[0]),
-        planned.approach / 10,
-        planned.length / 10,
-        4 * float(away @ along),
-        4 * float(away @ across),
-        5 * (sight.ee_position[2] - tip),
-        float(planned.flies),
+        np.full(n, 10 * sight.centre[2]),
+        np.full(n, float(sight.target.mean()) * 100),
+        np.array([float(push.kind == KINDS[0]) for push in pushes]),
+        plans.approach / 10,
+        plans.length / 10,
+        4 * (away * frames.along).sum(axis=1),
+        4 * (away * frames.across).sum(axis=1),
+        5 * (ee[2] - tip),
+        plans.flies,
     ]
+    return np.stack(columns, axis=1).astype(np.float32).reshape(n, NUMBERS)

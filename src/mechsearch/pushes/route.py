@@ -66,10 +66,7 @@ class Route:
             target: A point of the target (3,) [m], above which the push goes.
             others: Points of what else is in the way (M, 3) [m].
         """
-        config = self.config
-        height = np.clip(target[2] + config.clearance, config.lowest, _HIGHEST_PUSH)
-        self.push = np.full((len(path), 3), height)
-        self.push[:, :2] = np.clip(path, -config.half, config.half)
+        self.push = waypoints_along(path, target, self.config.clearance, self.config)
         self._approach(ee, target, others)
 
     def next(self, ee: Floats, target: Floats, others: Floats) -> NDArray[np.float32] | None:
@@ -99,17 +96,10 @@ class Route:
         self._stalled = state["stalled"]
 
     def _approach(self, ee: Floats, target: Floats, others: Floats) -> None:
-        """Go to the push's start: at its height where nothing lies between, else over the heap."""
-        start = self.push[0]
-        objects = np.vstack([target, others])
-        highest = max(objects[:, 2].max(), start[2] - self.config.travel_clearance)
-        travel = min(highest + self.config.travel_clearance, self.config.highest)
-        way: list[Floats] = []
-        if not self._is_clear(ee, start, objects):
-            if ee[2] < travel - 0.03 and not self._is_clear(ee, ee, objects):
-                way.append(np.array([ee[0], ee[1], travel]))
-            way.append(np.array([start[0], start[1], travel]))
-        self._follow(np.vstack([*way, self.push]) if way else self.push)
+        """Go to the push's start."""
+        over = approaches(self.push[:1], ee, target, others, self.config)
+        above = over.waypoints[0][[bool(over.rises[0]), bool(over.flies[0])]]
+        self._follow(np.vstack([above, self.push]))
 
     def _rejoin(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Approach again if something else has carried the end effector away from the way."""
@@ -136,13 +126,65 @@ class Route:
         self._closest = np.inf
         self._stalled = 0
 
-    def _is_clear(self, start: Floats, end: Floats, objects: Floats) -> bool:
-        """Return whether a straight motion passes beside or above all objects (N, 3)."""
-        span = end - start
-        # No motion has no length to divide by; all that lies along it is its start.
-        length = max(float(span @ span), np.finfo(float).tiny)
-        along = np.clip((objects - start) @ span / length, 0, 1)
-        nearest = start + along[:, None] * span
-        beside = np.linalg.norm((objects - nearest)[:, :2], axis=1) > self.config.beside
-        above = nearest[:, 2] > objects[:, 2] + self.config.above
-        return bool((beside | above).all())
+
+def waypoints_along(
+    path: Floats, target: Floats, clearance: float | Floats, config: RouteConfig
+) -> Floats:
+    """Return waypoints (N, 3) [m] of a push along a path (N, 2) [m]; see `Route.begin`.
+
+    Args:
+        path: Of one push, or of several.
+        target: A point of the target (3,) [m].
+        clearance: Height above that [m], of all or of each (N,).
+        config: What bounds them.
+    """
+    waypoints = np.empty((len(path), 3))
+    waypoints[:, :2] = np.clip(path, -config.half, config.half)
+    waypoints[:, 2] = np.clip(target[2] + clearance, config.lowest, _HIGHEST_PUSH)
+    return waypoints
+
+
+@dataclass(frozen=True)
+class Approaches:
+    """Ways to the starts of n pushes: at their height where nothing lies between, else over all.
+
+    Attributes:
+        flies: Which go over the heap (n,).
+        rises: Which of these go straight up at first (n,).
+        waypoints: Where those are that rise, and above the start (n, 2, 3) [m]; the end effector
+            and the start where they do not.
+    """
+
+    flies: NDArray[np.bool_]
+    rises: NDArray[np.bool_]
+    waypoints: Floats
+
+
+def approaches(
+    starts: Floats, ee: Floats, target: Floats, others: Floats, config: RouteConfig
+) -> Approaches:
+    """Return the ways to the starts (n, 3) [m] of pushes; see `Route.begin`."""
+    objects = np.vstack([target, others])
+    clear = _are_clear(ee, np.vstack([starts, ee]), objects, config)
+    highest = np.maximum(objects[:, 2].max(), starts[:, 2] - config.travel_clearance)
+    travel = np.minimum(highest + config.travel_clearance, config.highest)
+    flies = ~clear[:-1]
+    rises = flies & (ee[2] < travel - 0.03) & ~clear[-1]
+    waypoints = np.stack([np.broadcast_to(ee, starts.shape), starts], axis=1)
+    waypoints[:, 0, 2][rises] = travel[rises]
+    waypoints[:, 1, 2][flies] = travel[flies]
+    return Approaches(flies, rises, waypoints)
+
+
+def _are_clear(
+    start: Floats, ends: Floats, objects: Floats, config: RouteConfig
+) -> NDArray[np.bool_]:
+    """Return which straight motions to ends (n, 3) pass beside or above all objects (N, 3)."""
+    span = ends - start
+    # No motion has no length to divide by; all that lies along it is its start.
+    length = np.maximum((span * span).sum(axis=1), np.finfo(float).tiny)
+    away = objects - start
+    along = np.clip(span @ away.T / length[:, None], 0, 1)
+    x, y, z = (away[:, i] - along * span[:, i, None] for i in range(3))
+    passes = (x * x + y * y > config.beside**2) | (z < -config.above)
+    return np.asarray(passes.all(axis=1))
