@@ -77,6 +77,7 @@ EXTRAS = {
     "learn": ("PyTorch", "torch"),
     "report": ("Matplotlib", "matplotlib"), "meshes": ("CoACD", "coacd"),
     "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
+    "export": ("ONNX's writer", "onnxscript"), "robot": ("ONNX Runtime and rosbags", "onnxruntime"),
 }  # fmt: skip
 """What each optional part of an installation brings: its name, and a module of it."""
 

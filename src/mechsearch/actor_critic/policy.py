@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.actor_critic.networks import Actor
+from mechsearch.observe.observation import KINDS
 from mechsearch.types import MechSearchError, Observation, select
 
 
@@ -38,3 +39,28 @@ class ActorPolicy:
         with torch.inference_mode():
             result: NDArray[np.float32] = self.actor(tensors)[0].numpy()
         return result
+
+    def to_export(self) -> tuple[str, torch.nn.Module, tuple[torch.Tensor, ...]]:
+        """Return what `training.export` writes: a kind, a network, and inputs to trace it with."""
+        inputs = [
+            torch.zeros(
+                1,
+                *self.actor.shapes[key],
+                dtype=torch.from_numpy(np.empty(0, KINDS[key].dtype)).dtype,
+            )
+            for key in self.keys
+        ]
+        return "actions", _OfArguments(self.actor), tuple(inputs)
+
+
+class _OfArguments(torch.nn.Module):
+    """An actor whose observation comes key by key."""
+
+    def __init__(self, actor: Actor) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(self, *values: torch.Tensor) -> torch.Tensor:
+        """Return actions (B, 3)."""
+        actions: torch.Tensor = self.actor(dict(zip(self.actor.keys, values, strict=True)))
+        return actions

@@ -32,6 +32,7 @@ COMMANDS = {
     "show": ("evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
     "export episodes": ("export_episodes:ExportEpisodes", "episodes for LeRobot, Minari"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
+    "export policy": ("exporting:Export", "a policy for a robot's computer, without PyTorch"),
     "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
     "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),
     "grasp label": ("grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from"),
@@ -59,11 +60,11 @@ GRIPPER_COMMANDS = {
 it, about the paper's graspability."""
 
 _NEEDED = {
-    "learn": ("train", "sweep", "pack", "grasp", "demo"),
+    "learn": ("train", "sweep", "pack", "export policy", "grasp", "demo"),
     "report": ("report", "demo"),
 }
 EXTRAS_OF = {
-    name: [extra for extra, groups in _NEEDED.items() if name.split()[0] in groups]
+    name: [extra for extra, groups in _NEEDED.items() if {name, name.split()[0]} & set(groups)]
     for name in COMMANDS
 }
 """The optional parts of an installation without which a command cannot be."""

@@ -2,20 +2,17 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from mechsearch.camera import preset
 from mechsearch.env import RewardConfig, TaskConfig
-from mechsearch.push_values.value import Continuation, PushValue
-from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, look, view_pushes
-from mechsearch.types import ACTOR_KEYS, Floats, MechSearchError, Observation
-
-_UNSEEN = np.array([0.0, 0.0, 0.03])
-"""Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
+from mechsearch.push_values.value import Continuation, Judgement, PushValue
+from mechsearch.pushes.chooser import PushChooser
+from mechsearch.pushes.push import NUMBERS, PATCH, Push, Sight, view_pushes
+from mechsearch.types import Floats, MechSearchError
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,8 @@ class PushPolicyConfig:
             raise MechSearchError(f"candidates is {self.candidates}; expected at least 1")
 
 
-class PushPolicy:
+class PushPolicy(PushChooser):
     """Chooses pushes by the mean judgement of some networks, from what the actor sees."""
-
-    keys: tuple[str, ...] = ACTOR_KEYS
 
     def __init__(
         self,
@@ -59,36 +54,7 @@ class PushPolicy:
         """
         self.networks = [copy.deepcopy(network).eval() for network in networks]
         self.continuation, self.config = continuation, config
-        self.camera = preset(config.camera, config.image_size)
-        self.reset(np.random.default_rng(0))
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Begin an episode; candidates come from `rng`."""
-        self._rng = rng
-        self._push: PlannedPush | None = None
-        self._last_seen = _UNSEEN
-
-    def act(self, obs: Observation) -> NDArray[np.float32]:
-        """Return the next action (3,) of the present push, or of a new one."""
-        action = None if self._push is None else self._push.act(obs)
-        if action is None:
-            sight = self.see(obs)
-            pushes = draw_pushes(self.config.candidates, self._rng)
-            self._push = PlannedPush(pushes[self.best(pushes, sight)], sight)
-            action = self._push.act(obs)
-        return np.zeros(3, np.float32) if action is None else action
-
-    def see(self, obs: Observation) -> Sight:
-        """Return what an observation shows; a hidden target counts as where it was seen last."""
-        sight = look(obs, self.camera)
-        if sight.centre is None:
-            return replace(sight, centre=self._last_seen)
-        self._last_seen = sight.centre
-        return sight
-
-    def best(self, pushes: Sequence[Push], sight: Sight) -> int:
-        """Return the index of the best push."""
-        return int(np.argmax(self.judge(pushes, sight)))
+        super().__init__(preset(config.camera, config.image_size), config.candidates)
 
     def judge(self, pushes: Sequence[Push], sight: Sight) -> Floats:
         """Return the rewards expected of pushes and of what follows them (n,).
@@ -107,3 +73,11 @@ class PushPolicy:
             ]
             mean: Floats = torch.stack(values).mean(dim=0).double().numpy()
         return mean
+
+    def to_export(self) -> tuple[str, torch.nn.Module, tuple[torch.Tensor, ...]]:
+        """Return what `training.export` writes: a kind, a network, and inputs to trace it with."""
+        shapes = PATCH, (NUMBERS,), ()
+        pushes = max(self.config.candidates, 2)
+        inputs = [torch.zeros(pushes, *shape) for shape in shapes]
+        judgement = Judgement(self.networks, self.continuation, self.config.idleness)
+        return "pushes", judgement, (inputs[0].half(), *inputs[1:])

@@ -161,12 +161,42 @@ class PushValue(nn.Module):
             continuation: What follows a push that leaves the target covered.
             idleness: Cost of an action.
         """
+        reward, uncovered, occlusion, actions = self.expected(patches, numbers, planned)
+        return reward - idleness * actions + (1 - uncovered) * continuation.value(occlusion)
+
+    def expected(
+        self, patches: Tensor, numbers: Tensor, planned: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what is expected of pushes, each (B,); arguments are those of `value`.
+
+        Returns:
+            Reward without idleness, the probability that it uncovers the target, occlusion
+            afterwards, actions.
+        """
         out = self(patches, numbers)
         actions = planned + _ACTIONS * out[:, 3]
-        covered = 1 - torch.sigmoid(out[:, 1])
-        now = _REWARD * out[:, 0] - idleness * actions
-        value: Tensor = now + covered * continuation.value(out[:, 2])
-        return value
+        return _REWARD * out[:, 0], torch.sigmoid(out[:, 1]), out[:, 2], actions
+
+
+class Judgement(nn.Module):
+    """Some networks as one, to be run elsewhere than in PyTorch."""
+
+    def __init__(
+        self, networks: Sequence[PushValue], continuation: Continuation, idleness: float
+    ) -> None:
+        super().__init__()
+        self.networks = nn.ModuleList(networks)
+        self.continuation, self.idleness = continuation, idleness
+
+    def forward(
+        self, patches: Tensor, numbers: Tensor, planned: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return values (B,), and probabilities, occlusions and actions by network (K, B)."""
+        found = [network.expected(patches, numbers, planned) for network in self.networks]
+        reward, uncovered, occlusion, actions = map(torch.stack, zip(*found, strict=True))
+        later = (1 - uncovered) * self.continuation.value(occlusion)
+        value = (reward - self.idleness * actions + later).mean(dim=0)
+        return value, uncovered, occlusion, actions
 
 
 def targets(samples: PushSamples, config: PushValueConfig) -> Tensor:

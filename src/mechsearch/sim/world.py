@@ -91,6 +91,11 @@ class World:
         """Position (3,) of the fingertip [m]."""
         return np.array(self._tip)
 
+    @property
+    def pusher_force(self) -> Floats:
+        """Force (3,) [N] with which the pusher is driven: at rest, against what blocks it."""
+        return np.array(self._data.actuator_force[:3])
+
     def reset(self, poses: Array, pusher_position: Array | None = None) -> None:
         """Put all objects at rest at `poses` (N, 7), and the pusher where it is told."""
         reset_data(self._model, self._data)
@@ -128,6 +133,12 @@ class World:
     def step(self, steps: int) -> None:
         """Advance by a number of time steps."""
         mujoco.mj_step(self._model, self._data, steps)
+
+    def follow(self, set_point: Array, steps: int = 1) -> None:
+        """Let the pusher's servo follow a set point (3,) [m] for some time steps."""
+        self._set_point[:] = set_point
+        self._command[:] = 0.0
+        self.step(steps)
 
     def push(self, target: Array) -> bool:
         """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time.

@@ -1,0 +1,28 @@
+"""`mechsearch export policy`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mechsearch.cli.command import Command, wrote
+from mechsearch.training.export import export_policy
+
+
+@dataclass(frozen=True)
+class Export(Command):
+    """Write a policy for a robot's computer, which needs no PyTorch: its network, and what it is.
+
+    Attributes:
+        policy: A shipped one that uncovers, a run directory, or one policy's file.
+        out: Folder of policy.onnx and policy.json.
+    """
+
+    policy: Annotated[str, tyro.conf.Positional]
+    out: Path
+
+    def run(self) -> None:
+        """Write both files."""
+        export_policy(self.policy, self.out)
+        wrote(self.out)

@@ -1,0 +1,1 @@
+"""What a robot's computer carries: an exported policy, its controller, and limits that hold."""

@@ -1,0 +1,210 @@
+"""From a robot's images to its next motion, and the refusals on the way."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mechsearch.camera import Camera
+from mechsearch.geometry import apply, cap_length, invert
+from mechsearch.observe.observation import position_image, without_holes
+from mechsearch.observe.reprojection import Reprojection, reproject
+from mechsearch.robot.limits import MOVE, RETREAT, STOP, Limits, Motion, Tool
+from mechsearch.robot.policy import Chooser
+from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
+
+_REACHED = 0.004
+"""Distance from its goal at which a motion is over [m]."""
+
+_BLACK = 4
+"""Mean of a colour image up to which it is black."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a camera sees, and where the target is in it.
+
+    Attributes:
+        depth: (H, W) [m], floating-point numbers; 0 or not finite in holes.
+        mask: Visible pixels of the target (H, W) bool; None where the segmenter said nothing.
+        camera: Its intrinsics, and as `world_from_camera` its pose in the robot's base frame.
+        time: When it was taken [s].
+        colour: (H, W, 3) uint8, or None.
+    """
+
+    depth: Array
+    mask: Array | None
+    camera: Camera
+    time: float
+    colour: Array | None = None
+
+
+class _Refusal(Exception):
+    """Why nothing may move, and whether to retreat."""
+
+
+class Controller:
+    """Asks a policy for motions, one after the other, and refuses what its limits forbid.
+
+    After a refusal it retreats, or stops, until it is reset. It holds no more than the limits that
+    images need; the robot's driver has a `Guard`, which does not depend on it.
+
+    Attributes:
+        refusal: Why it has stopped; empty while it has not.
+        seen: The last images that it decided on, in the policy's view; None before.
+        goal: Of the present motion (3,) [m] in the base frame; None before.
+    """
+
+    def __init__(
+        self,
+        policy: Chooser,
+        base_from_workspace: ArrayLike,
+        limits: Limits,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        """Set a robot up.
+
+        Args:
+            policy: From `robot.policy.open_policy`.
+            base_from_workspace: Where the workspace is: a rigid transform (4, 4). Its origin is on
+                the table below the middle of the policy's view, its z axis points up.
+            limits: In the robot's base frame.
+            rng: Of the policy's candidates.
+
+        Raises:
+            MechSearchError: If the transform is not rigid or tips the table, or the box of the
+                limits and the workspace have nothing in common.
+        """
+        self.policy, self.limits = policy, limits
+        self.view = policy.camera
+        pose = np.asarray(base_from_workspace, np.float64)
+        # A camera's pose is checked as any other.
+        replace(self.view, world_from_camera=tuple(pose.ravel().tolist()))
+        if pose[2, 2] < np.cos(np.deg2rad(5)):
+            raise MechSearchError(
+                f"base_from_workspace turns the table's z axis to {pose[:3, 2].tolist()}; expected "
+                "it along the base's z axis, up to 5 degrees"
+            )
+        self._base_from_workspace, self._workspace_from_base = pose, invert(pose)
+        self._low, self._high = (
+            np.array(b) for b in (policy.description.low, policy.description.high)
+        )
+        corners = apply(
+            pose, [[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)]
+        )
+        if (corners.max(axis=0) < limits.low).any() or (corners.min(axis=0) > limits.high).any():
+            raise MechSearchError(
+                f"the workspace lies from {corners.min(axis=0).round(3).tolist()} to "
+                f"{corners.max(axis=0).round(3).tolist()} m in the base frame, outside the box from "
+                f"{list(limits.low)} to {list(limits.high)}: is base_from_workspace right?"
+            )
+        self.reset(rng or np.random.default_rng())
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin an episode, or go on after a refusal whose cause is gone."""
+        self.policy.reset(rng)
+        self.refusal = ""
+        self.seen: Reprojection | None = None
+        self.goal: Floats | None = None
+        self._motion: Motion | None = None
+        self._camera: Camera | None = None
+        self._until, self._lost = 0.0, 0
+
+    def step(self, frame: Frame, tool: Tool, now: float, stop: bool = False) -> Motion:
+        """Return what to do now; to be asked for each image, many times a motion.
+
+        Args:
+            frame: The newest image.
+            tool: As it was measured last.
+            now: [s], of the clock of both.
+            stop: Whether somebody presses the stop.
+        """
+        if not self.refusal:
+            try:
+                self._check(frame, tool, now)
+                if stop:
+                    raise _Refusal("the stop is pressed", False)
+                return self._moved(frame, tool, now)
+            except MechSearchError as error:
+                self._refuse(str(error), tool, now, True)
+            except _Refusal as refusal:
+                self._refuse(str(refusal.args[0]), tool, now, bool(refusal.args[1]))
+        if stop:
+            self._refuse("the stop is pressed", tool, now, False)
+        assert self._motion is not None
+        return replace(self._motion, time=now)
+
+    def _check(self, frame: Frame, tool: Tool, now: float) -> None:
+        limits = self.limits
+        unknown = now - tool.time > limits.watchdog or not np.isfinite(tool.position).all()
+        if unknown:
+            raise _Refusal(f"the tool was measured {now - tool.time:.2f} s ago", False)
+        if (beyond := limits.outside(tool.position)) > 0.01:
+            raise _Refusal(f"the tool is {beyond:.3f} m outside the box of the limits", False)
+        if not -limits.image_age <= now - frame.time <= limits.image_age:
+            raise _Refusal(
+                f"the image is {now - frame.time:.2f} s old; expected at most {limits.image_age}",
+                True,
+            )
+        if (force := float(np.linalg.norm(tool.force))) > limits.force:
+            raise _Refusal(f"{force:.1f} N at the tool; expected at most {limits.force}", True)
+        if frame.mask is None:
+            raise _Refusal("no mask of the target came with the image", True)
+        if frame.colour is not None and float(np.mean(frame.colour)) <= _BLACK:
+            raise _Refusal("the colour image is black", True)
+        first = self._camera = self._camera or frame.camera
+        if replace(frame.camera, world_from_camera=first.world_from_camera) != first:
+            raise _Refusal("the camera's size or intrinsics have changed", True)
+        between = invert(first.pose) @ frame.camera.pose
+        shift = float(np.linalg.norm(between[:3, 3]))
+        turn = float(np.rad2deg(np.arccos(np.clip((np.trace(between[:3, :3]) - 1) / 2, -1, 1))))
+        if shift > limits.camera_shift or turn > limits.camera_turn:
+            raise _Refusal(
+                f"the camera's pose has jumped by {shift:.3f} m and {turn:.1f} degrees", True
+            )
+
+    def _moved(self, frame: Frame, tool: Tool, now: float) -> Motion:
+        """Return the present motion, or the next one where that is over."""
+        if self._motion is not None and now < self._until:
+            away = float(np.linalg.norm(self._motion.goal - tool.position))
+            if away > _REACHED:
+                self._motion = replace(self._motion, time=now)
+                return self._motion
+        obs = self._observation(frame, tool)
+        choice = self.policy.choose(obs)
+        step = cap_length(np.asarray(choice.action, np.float64) * ACTION_LENGTH, ACTION_LENGTH)
+        inside = np.clip(obs["ee_position"] + step, self._low, self._high)
+        goal = self.limits.clip(apply(self._base_from_workspace, inside))
+        way = float(np.linalg.norm(goal - tool.position))
+        self._until = now + 1.5 * way / self.limits.speed + 0.3
+        self.goal = goal
+        self._motion = Motion(
+            MOVE, goal, self.limits.speed, now, choice.reason, choice.confidence, choice.expects
+        )
+        return self._motion
+
+    def _observation(self, frame: Frame, tool: Tool) -> Observation:
+        """Return what the policy sees; count the looks that show no target."""
+        pose = self._workspace_from_base @ frame.camera.pose
+        camera = replace(frame.camera, world_from_camera=tuple(pose.ravel().tolist()))
+        self.seen = reproject(frame.depth, camera, self.view, frame.mask, frame.colour)
+        mask = np.asarray(self.seen.mask)
+        self._lost = 0 if mask.any() else self._lost + 1
+        if self._lost >= self.limits.lost_looks:
+            raise _Refusal(f"no target is seen in {self._lost} images in a row", True)
+        tip = apply(self._workspace_from_base, tool.position)
+        return {
+            "depth": without_holes(self.seen.depth).astype(np.float16)[None],
+            "position_image": position_image(mask, self.seen.depth, self.view, tip),
+            "ee_position": tip.astype(np.float32),
+        }
+
+    def _refuse(self, reason: str, tool: Tool, now: float, retreats: bool) -> None:
+        self.refusal = self.refusal or reason
+        goal = self.limits.above(tool) if retreats else None
+        kind = STOP if goal is None else RETREAT
+        goal = np.array(tool.position, np.float64) if goal is None else goal
+        self.goal, self._motion = goal, Motion(kind, goal, self.limits.speed, now, self.refusal)
+
+    def _ends(self, axis: int) -> tuple[float, float]:
+        return self._low[axis], self._high[axis]

@@ -1,0 +1,201 @@
+"""What a robot may do whatever it is told: limits, and the guard in its driver that keeps them."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from mechsearch.geometry import cap_length
+from mechsearch.types import Array, Floats, MechSearchError, finite_numbers
+
+MOVE, RETREAT, STOP = "move", "retreat", "stop"
+"""Kinds of motions."""
+
+_MARGIN = 0.8
+"""Share of speed and force at which the guard stays or stops: reactions take time."""
+
+_SLOWING = 0.1
+"""Time in which a motion comes to rest at its goal [s]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What is never exceeded, in the robot's base frame.
+
+    Attributes:
+        low: Lowest corner (3,) of the box that the tool's tip stays in [m].
+        high: Highest corner (3,) [m].
+        speed: Of the tip [m/s].
+        force: At the tool [N]. It grows by the robot's stiffness times its speed until the driver
+            reacts: stiff robots must go slowly.
+        lead: How far the set point may be ahead of the tip [m]: what bounds the force of a push,
+            and how fast the tool sets off when what blocks it gives way.
+        image_age: Of an image when it is decided on [s].
+        watchdog: Between two commands, and between two measurements of the tool [s].
+        camera_shift: How far a camera may move from where it was at first [m].
+        camera_turn: How far it may turn [degrees].
+        lost_looks: Decisions in a row at which no target is seen, after which to stop.
+        retreat: How far up to go after a refusal [m].
+        dry_run: Whether to decide all, and move nothing.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    speed: float = 0.1
+    force: float = 20.0
+    lead: float = 0.003
+    image_age: float = 0.3
+    watchdog: float = 0.3
+    camera_shift: float = 0.01
+    camera_turn: float = 2.0
+    lost_looks: int = 5
+    retreat: float = 0.1
+    dry_run: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            finite_numbers(getattr(self, name), (3,), f"{name} is a corner (3,) [m]")
+        if not np.less(self.low, self.high).all():
+            raise MechSearchError(
+                f"the box from {self.low} to {self.high} m is empty; expected low below high"
+            )
+        names = ("speed", "force", "lead", "image_age", "watchdog", "camera_shift", "camera_turn")
+        for name in (*names, "lost_looks", "retreat"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise MechSearchError(f"{name} is {value}; expected a finite number above 0")
+
+    def clip(self, position: Array) -> Floats:
+        """Return the nearest position (3,) [m] in the box."""
+        return np.clip(np.asarray(position, np.float64), self.low, self.high)
+
+    def outside(self, position: Array) -> float:
+        """Return how far a position (3,) is outside of the box [m]."""
+        return float(np.abs(position - self.clip(position)).max())
+
+    def above(self, tool: "Tool") -> Floats | None:
+        """Return where to retreat to (3,) [m], or None where going up is not safe.
+
+        It is not where something presses on the tool from above, or the tool is outside the box.
+        """
+        if self.outside(tool.position) > 0.01 or tool.force[2] < -_MARGIN * self.force / 2:
+            return None
+        return self.clip(np.asarray(tool.position) + (0.0, 0.0, self.retreat))
+
+
+@dataclass(frozen=True)
+class Tool:
+    """The tool as the robot measures it, in its base frame.
+
+    Attributes:
+        position: Of the tip (3,) [m].
+        time: When it was measured [s].
+        force: That acts on it from outside (3,) [N].
+    """
+
+    position: Floats
+    time: float
+    force: Floats = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A command: a straight motion of the tip in the robot's base frame, or none.
+
+    Attributes:
+        kind: "move", "retreat", or "stop".
+        goal: Where the tip goes (3,) [m]; where it is, of a stop.
+        speed: At most [m/s].
+        time: When it was commanded [s].
+        reason: In words.
+        confidence: Of the policy, in [0, 1], or None; see `robot.policy.Choice`.
+        expects: What it expects; see there.
+    """
+
+    kind: str
+    goal: Floats
+    speed: float
+    time: float
+    reason: str
+    confidence: float | None = None
+    expects: Any = None
+
+
+class Guard:
+    """Turns motions into set points within the limits; it runs in the robot's driver.
+
+    It trusts nobody: neither that motions keep the limits, nor that another one comes. After a
+    refusal it retreats or stands, until a new one is made.
+
+    Attributes:
+        refusal: Why it has stopped; empty while it has not.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        """Keep some limits; there is no motion yet."""
+        self.limits, self.refusal = limits, ""
+        self._motion: Motion | None = None
+        self._heard = self._ticked = -np.inf
+        self._point: Floats | None = None
+
+    def receive(self, motion: Motion, now: float) -> None:
+        """Take a motion that has arrived at a time [s]."""
+        if self.refusal:
+            return
+        if motion.kind not in (MOVE, RETREAT, STOP) or not np.isfinite([*motion.goal]).all():
+            self.refusal, self._motion = f"no motion: {motion.kind} to {motion.goal}", None
+            return
+        if motion.kind == STOP:
+            self._point = None
+        self._motion, self._heard = motion, now
+
+    def set_point(self, tool: Tool, now: float, stop: bool = False) -> Floats:
+        """Return where the tip should be next (3,) [m].
+
+        Args:
+            tool: As it is measured now.
+            now: [s], of the same clock; called at the robot's own rate.
+            stop: Whether somebody presses the stop.
+        """
+        limits, position = self.limits, np.asarray(tool.position, np.float64)
+        if self._point is None:
+            self._point = position.copy()
+        tick = min(max(now - self._ticked, 0.0), 0.02)
+        self._ticked = now
+        self._check(tool, now, stop)
+        motion = self._motion
+        if limits.dry_run or motion is None or motion.kind == STOP:
+            return self._point
+        speed = _MARGIN * min(motion.speed, limits.speed)
+        ahead = limits.clip(motion.goal) - self._point
+        ahead = cap_length(
+            ahead, speed * tick * min(1.0, float(np.linalg.norm(ahead)) / (speed * _SLOWING))
+        )
+        self._point = position + cap_length(self._point + ahead - position, limits.lead)
+        return self._point
+
+    def _check(self, tool: Tool, now: float, stop: bool) -> None:
+        limits, moving = self.limits, self._motion is not None and self._motion.kind != STOP
+        force = float(np.linalg.norm(tool.force))
+        pressed = force > _MARGIN * limits.force
+        if stop:
+            self._refuse("the stop is pressed", None)
+        elif now - tool.time > limits.watchdog or not np.isfinite(tool.position).all():
+            self._refuse(f"no measurement of the tool for {now - tool.time:.2f} s", None)
+        elif pressed and (not self.refusal or (moving and force > limits.force)):
+            # What acts already may act while going up, but not grow.
+            again = bool(self.refusal)
+            self._refuse(f"{force:.1f} N at the tool", None if again else tool)
+        elif not self.refusal and moving and now - self._heard > limits.watchdog:
+            self._refuse(f"no command for {now - self._heard:.2f} s", tool)
+
+    def _refuse(self, reason: str, retreats: Tool | None) -> None:
+        """Stop, and go up from where the tool is if one is given and it is safe."""
+        self.refusal = self.refusal or reason
+        goal = None if retreats is None else self.limits.above(retreats)
+        if goal is not None and retreats is not None:
+            self._point = np.array(retreats.position, np.float64)
+            self._motion = Motion(RETREAT, goal, self.limits.speed, retreats.time, reason)
+        elif self._motion is not None:
+            self._motion, self._point = None, None
