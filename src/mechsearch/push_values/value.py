@@ -1,7 +1,8 @@
 """What a push will bring, judged from how it looks: a small network, and its fit to outcomes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -192,7 +193,8 @@ class Judgement(nn.Module):
         self, patches: Tensor, numbers: Tensor, planned: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return values (B,), and probabilities, occlusions and actions by network (K, B)."""
-        found = [network.expected(patches, numbers, planned) for network in self.networks]
+        networks = cast(Iterable[PushValue], self.networks)
+        found = [network.expected(patches, numbers, planned) for network in networks]
         reward, uncovered, occlusion, actions = map(torch.stack, zip(*found, strict=True))
         later = (1 - uncovered) * self.continuation.value(occlusion)
         value = (reward - self.idleness * actions + later).mean(dim=0)

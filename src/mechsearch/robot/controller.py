@@ -1,6 +1,7 @@
 """From a robot's images to its next motion, and the refusals on the way."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +22,7 @@ _BLACK = 4
 
 
 @dataclass(frozen=True)
-class Frame:
+class CameraFrame:
     """What a camera sees, and where the target is in it.
 
     Attributes:
@@ -39,7 +40,7 @@ class Frame:
     colour: Array | None = None
 
 
-class _Refusal(Exception):
+class _RefusalError(Exception):
     """Why nothing may move, and whether to retreat."""
 
 
@@ -89,13 +90,12 @@ class Controller:
         self._low, self._high = (
             np.array(b) for b in (policy.description.low, policy.description.high)
         )
-        corners = apply(
-            pose, [[x, y, z] for x in self._ends(0) for y in self._ends(1) for z in self._ends(2)]
-        )
-        if (corners.max(axis=0) < limits.low).any() or (corners.min(axis=0) > limits.high).any():
+        corners = apply(pose, list(product(*zip(self._low, self._high, strict=True))))
+        lowest, highest = corners.min(axis=0), corners.max(axis=0)
+        if (highest < limits.low).any() or (lowest > limits.high).any():
             raise MechSearchError(
-                f"the workspace lies from {corners.min(axis=0).round(3).tolist()} to "
-                f"{corners.max(axis=0).round(3).tolist()} m in the base frame, outside the box from "
+                f"the workspace lies from {lowest.round(3).tolist()} m to "
+                f"{highest.round(3).tolist()} m in the base frame, outside the box from "
                 f"{list(limits.low)} to {list(limits.high)}: is base_from_workspace right?"
             )
         self.reset(rng or np.random.default_rng())
@@ -110,7 +110,7 @@ class Controller:
         self._camera: Camera | None = None
         self._until, self._lost = 0.0, 0
 
-    def step(self, frame: Frame, tool: Tool, now: float, stop: bool = False) -> Motion:
+    def step(self, frame: CameraFrame, tool: Tool, now: float, stop: bool = False) -> Motion:
         """Return what to do now; to be asked for each image, many times a motion.
 
         Args:
@@ -123,47 +123,47 @@ class Controller:
             try:
                 self._check(frame, tool, now)
                 if stop:
-                    raise _Refusal("the stop is pressed", False)
+                    raise _RefusalError("the stop is pressed", False)
                 return self._moved(frame, tool, now)
             except MechSearchError as error:
                 self._refuse(str(error), tool, now, True)
-            except _Refusal as refusal:
+            except _RefusalError as refusal:
                 self._refuse(str(refusal.args[0]), tool, now, bool(refusal.args[1]))
         if stop:
             self._refuse("the stop is pressed", tool, now, False)
         assert self._motion is not None
         return replace(self._motion, time=now)
 
-    def _check(self, frame: Frame, tool: Tool, now: float) -> None:
+    def _check(self, frame: CameraFrame, tool: Tool, now: float) -> None:
         limits = self.limits
         unknown = now - tool.time > limits.watchdog or not np.isfinite(tool.position).all()
         if unknown:
-            raise _Refusal(f"the tool was measured {now - tool.time:.2f} s ago", False)
+            raise _RefusalError(f"the tool was measured {now - tool.time:.2f} s ago", False)
         if (beyond := limits.outside(tool.position)) > 0.01:
-            raise _Refusal(f"the tool is {beyond:.3f} m outside the box of the limits", False)
+            raise _RefusalError(f"the tool is {beyond:.3f} m outside the box of the limits", False)
         if not -limits.image_age <= now - frame.time <= limits.image_age:
-            raise _Refusal(
+            raise _RefusalError(
                 f"the image is {now - frame.time:.2f} s old; expected at most {limits.image_age}",
                 True,
             )
         if (force := float(np.linalg.norm(tool.force))) > limits.force:
-            raise _Refusal(f"{force:.1f} N at the tool; expected at most {limits.force}", True)
+            raise _RefusalError(f"{force:.1f} N at the tool; expected at most {limits.force}", True)
         if frame.mask is None:
-            raise _Refusal("no mask of the target came with the image", True)
+            raise _RefusalError("no mask of the target came with the image", True)
         if frame.colour is not None and float(np.mean(frame.colour)) <= _BLACK:
-            raise _Refusal("the colour image is black", True)
+            raise _RefusalError("the colour image is black", True)
         first = self._camera = self._camera or frame.camera
         if replace(frame.camera, world_from_camera=first.world_from_camera) != first:
-            raise _Refusal("the camera's size or intrinsics have changed", True)
+            raise _RefusalError("the camera's size or intrinsics have changed", True)
         between = invert(first.pose) @ frame.camera.pose
         shift = float(np.linalg.norm(between[:3, 3]))
         turn = float(np.rad2deg(np.arccos(np.clip((np.trace(between[:3, :3]) - 1) / 2, -1, 1))))
         if shift > limits.camera_shift or turn > limits.camera_turn:
-            raise _Refusal(
+            raise _RefusalError(
                 f"the camera's pose has jumped by {shift:.3f} m and {turn:.1f} degrees", True
             )
 
-    def _moved(self, frame: Frame, tool: Tool, now: float) -> Motion:
+    def _moved(self, frame: CameraFrame, tool: Tool, now: float) -> Motion:
         """Return the present motion, or the next one where that is over."""
         if self._motion is not None and now < self._until:
             away = float(np.linalg.norm(self._motion.goal - tool.position))
@@ -183,7 +183,7 @@ class Controller:
         )
         return self._motion
 
-    def _observation(self, frame: Frame, tool: Tool) -> Observation:
+    def _observation(self, frame: CameraFrame, tool: Tool) -> Observation:
         """Return what the policy sees; count the looks that show no target."""
         pose = self._workspace_from_base @ frame.camera.pose
         camera = replace(frame.camera, world_from_camera=tuple(pose.ravel().tolist()))
@@ -191,7 +191,7 @@ class Controller:
         mask = np.asarray(self.seen.mask)
         self._lost = 0 if mask.any() else self._lost + 1
         if self._lost >= self.limits.lost_looks:
-            raise _Refusal(f"no target is seen in {self._lost} images in a row", True)
+            raise _RefusalError(f"no target is seen in {self._lost} images in a row", True)
         tip = apply(self._workspace_from_base, tool.position)
         return {
             "depth": without_holes(self.seen.depth).astype(np.float16)[None],
@@ -205,6 +205,3 @@ class Controller:
         kind = STOP if goal is None else RETREAT
         goal = np.array(tool.position, np.float64) if goal is None else goal
         self.goal, self._motion = goal, Motion(kind, goal, self.limits.speed, now, self.refusal)
-
-    def _ends(self, axis: int) -> tuple[float, float]:
-        return self._low[axis], self._high[axis]

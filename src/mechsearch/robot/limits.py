@@ -81,7 +81,7 @@ class Limits:
         """
         if self.outside(tool.position) > 0.01 or tool.force[2] < -_MARGIN * self.force / 2:
             return None
-        return self.clip(np.asarray(tool.position) + (0.0, 0.0, self.retreat))
+        return self.clip(np.add(tool.position, (0.0, 0.0, self.retreat)))
 
 
 @dataclass(frozen=True)
@@ -159,11 +159,11 @@ class Guard:
             stop: Whether somebody presses the stop.
         """
         limits, position = self.limits, np.asarray(tool.position, np.float64)
-        if self._point is None:
-            self._point = position.copy()
         tick = min(max(now - self._ticked, 0.0), 0.02)
         self._ticked = now
         self._check(tool, now, stop)
+        if self._point is None:
+            self._point = position.copy()
         motion = self._motion
         if limits.dry_run or motion is None or motion.kind == STOP:
             return self._point

@@ -19,7 +19,7 @@ from mechsearch.types import Array, Floats, MechSearchError, Observation, check_
 FORMAT = 1
 """Of an exported policy; others are refused."""
 
-DESCRIPTION_FILE, NETWORK_FILE = "policy.json", "policy.onnx"
+DESCRIPTION_FILE, ONNX_FILE = "policy.json", "policy.onnx"
 
 OPSET = 18
 """Version of the operators of ONNX that networks are written in."""
@@ -38,7 +38,7 @@ _ACTION = {"action": ((1, 3), "float32", "5 cm along the workspace's axes")}
 _OUTPUTS = {"pushes": ("value", "uncovered", "occlusion", "actions"), "actions": ("action",)}
 
 
-def tensors_of(kind: str, keys: Sequence[str], size: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def described_tensors(kind: str, keys: Sequence[str], size: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the inputs and outputs of a kind of network by name: shape, dtype and unit each.
 
     Args:
@@ -73,7 +73,7 @@ class Description:
         format: See `FORMAT`.
         mechsearch: Version that wrote it.
         name: Of the policy.
-        kind: "pushes" or "actions"; see `tensors_of`.
+        kind: "pushes" or "actions"; see `described_tensors`.
         network: SHA-256 of the network's file.
         opset: See `OPSET`.
         inputs: By name.
@@ -154,7 +154,7 @@ def open_policy(folder: str | Path) -> Chooser:
     Raises:
         MechSearchError: If it is missing, damaged, or written for another version.
     """
-    description, network = _description(Path(folder)), Path(folder) / NETWORK_FILE
+    description, network = _description(Path(folder)), Path(folder) / ONNX_FILE
     if not network.is_file():
         raise MechSearchError(f"no network at {network}; expected what `mechsearch export` wrote")
     content = network.read_bytes()

@@ -36,8 +36,8 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
     kind, network, examples = inner.to_export()
     run = policies.config_of_run(spec)
     task = policies.task_of(policy, run, "overhead")
-    inputs, outputs = exported.tensors_of(kind, inner.keys, task.image_size)
-    path = folder / exported.NETWORK_FILE
+    inputs, outputs = exported.described_tensors(kind, inner.keys, task.image_size)
+    path = folder / exported.ONNX_FILE
     write_whole(path, lambda place: _write(network, examples, list(inputs), list(outputs), place))
     bounds, shipped = task.workspace, spec in policies.SHIPPED_POLICIES
     card = policies.card(spec) if shipped else {"config": run, "actor": policies.actor_of(spec)}
