@@ -33,6 +33,7 @@ COMMANDS = {
     "export episodes": ("export_episodes:ExportEpisodes", "episodes for LeRobot, Minari"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
     "export policy": ("exporting:Export", "a policy for a robot's computer, without PyTorch"),
+    "robot play": ("robot:PlayBag", "what a policy would do on a recorded bag; nothing moves"),
     "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
     "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),
     "grasp label": ("grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from"),

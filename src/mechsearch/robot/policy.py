@@ -38,7 +38,9 @@ _ACTION = {"action": ((1, 3), "float32", "5 cm along the workspace's axes")}
 _OUTPUTS = {"pushes": ("value", "uncovered", "occlusion", "actions"), "actions": ("action",)}
 
 
-def described_tensors(kind: str, keys: Sequence[str], size: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def described_tensors(
+    kind: str, keys: Sequence[str], size: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the inputs and outputs of a kind of network by name: shape, dtype and unit each.
 
     Args:

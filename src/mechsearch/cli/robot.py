@@ -1,0 +1,73 @@
+"""`mechsearch robot`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from mechsearch.cli.command import FLAT, Command, say, wrote
+from mechsearch.robot import bags
+from mechsearch.robot.controller import Controller
+from mechsearch.robot.limits import Limits, Motion
+from mechsearch.robot.policy import open_policy
+from mechsearch.types import MechSearchError
+
+
+@dataclass(frozen=True)
+class PlayBag(Command):
+    """Play a recorded bag through the controller: what it would do, drawn, and as commands.
+
+    Attributes:
+        bag: Of ROS 2, in sqlite3 or MCAP.
+        policy: What `mechsearch export` wrote.
+        out: New folder for the pictures and the bag of commands.
+        workspace: Where the middle of the table's workspace is in the base frame, and about its
+            vertical axis how it is turned [m, m, m, degrees].
+        low: Lowest corner of the box that the tool stays in, in the base frame [m].
+        high: Highest corner [m].
+        speed: Of the tip [m/s].
+        seed: Of the policy's candidates.
+        topics: Where things are in the bag.
+    """
+
+    bag: Annotated[Path, tyro.conf.Positional]
+    policy: Path
+    out: Path
+    workspace: tuple[float, float, float, float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    speed: float = Limits.speed
+    seed: int = 0
+    topics: Annotated[bags.Topics, FLAT] = field(default_factory=bags.Topics)
+
+    def run(self) -> None:
+        """Decide on every image, and write what comes of it."""
+        if self.out.exists():
+            raise MechSearchError(f"{self.out} is there already; expected a new folder")
+        x, y, z, degrees = self.workspace
+        c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        pose = [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]]
+        limits = Limits(self.low, self.high, self.speed, dry_run=True)
+        rng = np.random.default_rng(self.seed)
+        controller = Controller(open_policy(self.policy), pose, limits, rng)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{self.out.name}.", dir=self.out.parent) as partial:
+            self._play(controller, Path(partial, self.out.name))
+            Path(partial, self.out.name).rename(self.out)
+        wrote(self.out)
+
+    def _play(self, controller: Controller, out: Path) -> None:
+        out.mkdir()
+        motions: list[Motion] = []
+        for frame, tool in bags.read_bag(self.bag, self.topics):
+            motions.append(motion := controller.step(frame, tool, frame.time))
+            if len(motions) > 1 and (motion.goal == motions[-2].goal).all():
+                continue
+            goal = ", ".join(f"{number:.3f}" for number in motion.goal)
+            sure = "" if motion.confidence is None else f", confidence {motion.confidence:.2f}"
+            say(f"{motion.time:.3f} s  {motion.kind} to ({goal}) m{sure}: {motion.reason}")
+            bags.draw(frame, tool, motion).save(out / f"{len(motions):04d}.png")
+        bags.write_commands(out / "commands", motions, self.topics.base, bags.is_mcap(self.bag))

@@ -1,0 +1,352 @@
+"""Recorded bags of ROS 2, sqlite3 or MCAP: what a robot saw, and what it would have been told."""
+
+import json
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from mechsearch.camera import Camera
+from mechsearch.geometry import invert, transform_from_pose
+from mechsearch.robot.controller import CameraFrame
+from mechsearch.robot.limits import MOVE, Motion, Tool
+from mechsearch.types import Array, Floats, MechSearchError, check_extra, shown
+
+_APART = 0.2
+"""How far two clocks may be apart [s], and the images and poses that belong together."""
+
+_ENCODINGS = {
+    "16UC1": ("u2", 1), "32FC1": ("f4", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3),
+    "rgba8": ("u1", 4), "bgra8": ("u1", 4), "mono8": ("u1", 1), "8UC1": ("u1", 1),
+}  # fmt: skip
+_DEPTH, _MASK = ("16UC1", "32FC1"), ("mono8", "8UC1")
+_COLOUR = ("rgb8", "bgr8", "rgba8", "bgra8")
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Where things are in a bag.
+
+    Attributes:
+        depth: Images of depth, 16UC1 [mm] or 32FC1 [m].
+        camera_info: Intrinsics of these; images are rectified.
+        mask: Target pixels in the same images, mono8, not 0.
+        colour: Colour images, aligned with depth; may be missing.
+        tool: Poses of the tool's tip (geometry_msgs/PoseStamped) in the base frame.
+        wrench: Forces that act on it (geometry_msgs/WrenchStamped) in the base's axes; may be
+            missing.
+        base: Name of the robot's base frame in /tf and /tf_static.
+    """
+
+    depth: str = "/camera/aligned_depth_to_color/image_raw"
+    camera_info: str = "/camera/aligned_depth_to_color/camera_info"
+    mask: str = "/target/mask"
+    colour: str = "/camera/color/image_raw"
+    tool: str = "/tool/pose"
+    wrench: str = "/tool/wrench"
+    base: str = "base_link"
+
+
+COMMANDS_TOPIC, REASONS_TOPIC = "/mechsearch/command", "/mechsearch/reason"
+"""Goals (geometry_msgs/PoseStamped, base frame), and why, as JSON (std_msgs/String)."""
+
+_TYPES = {
+    "depth": "sensor_msgs/msg/Image", "camera_info": "sensor_msgs/msg/CameraInfo",
+    "mask": "sensor_msgs/msg/Image", "colour": "sensor_msgs/msg/Image",
+    "tool": "geometry_msgs/msg/PoseStamped", "wrench": "geometry_msgs/msg/WrenchStamped",
+}  # fmt: skip
+_OPTIONAL = ("colour", "wrench")
+_TRANSFORMS = ("/tf", "/tf_static")
+
+
+def read_bag(path: Path, topics: Topics) -> Iterator[tuple[CameraFrame, Tool]]:
+    """Yield what a robot saw, image by image, once it is certain that the bag is whole.
+
+    Raises:
+        MechSearchError: If a topic or transform is missing, an encoding is unknown, images differ
+            in size, or clocks run apart.
+    """
+    check_extra("reading a bag", "robot")
+    with _opened(path) as reader:
+        found = {topic: connection.msgtype for topic, connection in _by_topic(reader).items()}
+        for name, kind in _TYPES.items():
+            topic = getattr(topics, name)
+            if found.get(topic, kind if name in _OPTIONAL else None) != kind:
+                listed = ", ".join(f"{t} ({k})" for t, k in sorted(found.items())) or "nothing"
+                raise MechSearchError(f"{path} has no {name} at {topic} of {kind}; it has {listed}")
+        index, transforms = _indexed(reader, topics, path)
+        for stamp, recorded in index["depth"]:
+            yield _seen(reader, stamp, recorded, topics, index, transforms)
+
+
+def write_commands(path: Path, motions: Sequence[Motion], base: str, mcap: bool) -> None:
+    """Write motions into a bag of their own.
+
+    Args:
+        path: The bag's folder.
+        motions: In order.
+        base: Name of the base frame.
+        mcap: Whether it is stored as MCAP, or else as sqlite3.
+
+    Raises:
+        MechSearchError: If there is something at that place.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    if path.exists():
+        raise MechSearchError(f"{path} is there already; expected a new place for the bag")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        goal_type, reason_type = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
+        goals = writer.add_connection(COMMANDS_TOPIC, goal_type, typestore=store)
+        reasons = writer.add_connection(REASONS_TOPIC, reason_type, typestore=store)
+        for motion in motions:
+            nanoseconds = round(motion.time * 1e9)
+            time = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+            goal = types[goal_type](
+                types["std_msgs/msg/Header"](time, base),
+                types["geometry_msgs/msg/Pose"](
+                    types["geometry_msgs/msg/Point"](*map(float, motion.goal)),
+                    types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+                ),
+            )
+            expects = None if motion.expects is None else asdict(motion.expects)
+            said = {"kind": motion.kind, "speed": motion.speed, "reason": motion.reason}
+            said |= {"confidence": motion.confidence, "expects": expects}
+            reason = types[reason_type](json.dumps(said))
+            writer.write(goals, nanoseconds, store.serialize_cdr(goal, goal_type))
+            writer.write(reasons, nanoseconds, store.serialize_cdr(reason, reason_type))
+
+
+def draw(frame: CameraFrame, tool: Tool, motion: Motion) -> Image.Image:
+    """Return an image with the target's outline, the tool's tip, and where a motion takes it."""
+    if frame.colour is not None:
+        picture = Image.fromarray(np.ascontiguousarray(frame.colour))
+    else:
+        depth = np.nan_to_num(np.asarray(frame.depth, np.float64), posinf=0.0)
+        near, far = np.quantile(depth[depth > 0], [0.02, 0.98]) if (depth > 0).any() else (0, 1)
+        grey = np.clip((far - depth) / max(far - near, 1e-6), 0, 1) * 200 * (depth > 0)
+        picture = Image.fromarray(grey.astype(np.uint8)).convert("RGB")
+    if frame.mask is not None:
+        inside = np.asarray(frame.mask, np.bool_)
+        inner = inside.copy()
+        for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            inner &= np.roll(inside, shift, axis)
+        pixels = np.array(picture)
+        pixels[inside & ~inner] = (230, 40, 40)
+        picture = Image.fromarray(pixels)
+    pen = ImageDraw.Draw(picture)
+    tip, goal = (tuple(frame.camera.project(p)[:2].tolist()) for p in (tool.position, motion.goal))
+    colour = (40, 200, 80) if motion.kind == MOVE else (255, 170, 0)
+    pen.line([tip, goal], fill=colour, width=2)
+    pen.ellipse([tip[0] - 3, tip[1] - 3, tip[0] + 3, tip[1] + 3], outline=colour)
+    pen.ellipse([goal[0] - 3, goal[1] - 3, goal[0] + 3, goal[1] + 3], fill=colour)
+    text = motion.reason if motion.kind == MOVE else f"{motion.kind}: {motion.reason}"
+    pen.text((4, 4), text, fill=(255, 255, 255), stroke_width=1, stroke_fill=(0, 0, 0))
+    return picture
+
+
+def is_mcap(path: Path) -> bool:
+    """Return whether a bag is stored as MCAP."""
+    folder = path if path.is_dir() else path.parent
+    return any(folder.glob("*.mcap"))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a bag by its folder, or by a file in it."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    folder = path.parent if path.suffix in (".mcap", ".db3", ".yaml") else path
+    if not (folder / "metadata.yaml").is_file():
+        raise MechSearchError(f"no bag at {path}; expected a folder with a metadata.yaml")
+    try:
+        reader = AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+    except AnyReaderError as error:
+        raise MechSearchError(f"the bag at {path} is damaged: {shown(str(error))}") from None
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _by_topic(reader: Any) -> dict[str, Any]:
+    return {connection.topic: connection for connection in reader.connections}
+
+
+def _seconds(header: Any) -> float:
+    return float(header.stamp.sec + header.stamp.nanosec / 1e9)
+
+
+def _indexed(
+    reader: Any, topics: Topics, path: Path
+) -> tuple[dict[str, list[tuple[float, int]]], dict[str, list[tuple[float, str, Floats]]]]:
+    """Return when messages of each kind were stamped [s] and recorded [ns], and all transforms.
+
+    Of each frame these are its poses in another: since when, in which, and the pose (4, 4).
+    """
+    names = {getattr(topics, name): name for name in _TYPES}
+    index: dict[str, list[tuple[float, int]]] = {name: [] for name in _TYPES}
+    transforms: dict[str, list[tuple[float, str, Floats]]] = {}
+    some = [c for c in reader.connections if c.topic in (*names, *_TRANSFORMS)]
+    for connection, recorded, raw in reader.messages(some):
+        message = reader.deserialize(raw, connection.msgtype)
+        if connection.topic not in _TRANSFORMS:
+            index[names[connection.topic]].append((_seconds(message.header), recorded))
+            continue
+        for one in message.transforms:
+            since = -np.inf if connection.topic == "/tf_static" else _seconds(one.header)
+            r, t = one.transform.rotation, one.transform.translation
+            pose = transform_from_pose([t.x, t.y, t.z, r.w, r.x, r.y, r.z])
+            child = one.child_frame_id.strip("/")
+            transforms.setdefault(child, []).append((since, one.header.frame_id.strip("/"), pose))
+    if missing := [n for n in _TYPES if n not in _OPTIONAL and not index[n]]:
+        raise MechSearchError(
+            f"{path} has no message at {getattr(topics, missing[0])}, its {missing[0]}"
+        )
+    delays = {
+        name: float(np.median([recorded / 1e9 - stamp for stamp, recorded in rows]))
+        for name, rows in index.items()
+        if rows
+    }
+    slow, fast = max(delays, key=delays.__getitem__), min(delays, key=delays.__getitem__)
+    if delays[slow] - delays[fast] > _APART:
+        raise MechSearchError(
+            f"clocks run apart: {getattr(topics, slow)} is stamped "
+            f"{delays[slow] - delays[fast]:.2f} s before {getattr(topics, fast)}, as they were "
+            f"recorded; expected at most {_APART} s"
+        )
+    return {name: sorted(rows) for name, rows in index.items()}, transforms
+
+
+def _seen(
+    reader: Any,
+    stamp: float,
+    recorded: int,
+    topics: Topics,
+    index: dict[str, list[tuple[float, int]]],
+    transforms: dict[str, list[tuple[float, str, Floats]]],
+) -> tuple[CameraFrame, Tool]:
+    def nearest(name: str) -> Any:
+        rows = index[name]
+        place = bisect_right(rows, (stamp, 0))
+        some = rows[max(place - 1, 0) : place + 1]
+        best = min(some, key=lambda row: abs(row[0] - stamp), default=(np.inf, 0))
+        if abs(best[0] - stamp) > _APART:
+            return None
+        return message_of(name, best[1])
+
+    def message_of(name: str, at: int) -> Any:
+        connection = _by_topic(reader)[getattr(topics, name)]
+        (found,) = list(reader.messages([connection], at, at + 1))[:1]
+        return reader.deserialize(found[2], connection.msgtype)
+
+    message, info, pose = message_of("depth", recorded), nearest("camera_info"), nearest("tool")
+    for name, found in (("camera_info", info), ("tool", pose)):
+        if found is None:
+            raise MechSearchError(
+                f"no message at {getattr(topics, name)} within {_APART} s of the depth image at "
+                f"{stamp:.3f} s"
+            )
+    depth = _image(message, topics.depth, _DEPTH)
+    camera = _camera(info, topics, _pose(message.header.frame_id, topics.base, stamp, transforms))
+    size = (camera.height, camera.width)
+    images = {}
+    for name, encodings in (("mask", _MASK), ("colour", _COLOUR)):
+        found = nearest(name)
+        image = None if found is None else _image(found, getattr(topics, name), encodings)
+        if image is not None and image.shape[:2] != size:
+            raise MechSearchError(
+                f"{getattr(topics, name)} has images of {image.shape[1]} x {image.shape[0]} px; "
+                f"expected {size[1]} x {size[0]} px, aligned with {topics.depth}"
+            )
+        images[name] = image
+    if depth.shape != size:
+        raise MechSearchError(
+            f"{topics.depth} has images of {depth.shape[1]} x {depth.shape[0]} px; "
+            f"{topics.camera_info} says {size[1]} x {size[0]} px"
+        )
+    wrench, place = nearest("wrench"), pose.pose.position
+    pressed = None if wrench is None else wrench.wrench.force
+    force = np.zeros(3) if pressed is None else np.array([pressed.x, pressed.y, pressed.z])
+    if pose.header.frame_id.strip("/") != topics.base:
+        raise MechSearchError(
+            f"{topics.tool} is in the frame {pose.header.frame_id!r}; expected {topics.base!r}"
+        )
+    mask = None if images["mask"] is None else images["mask"] > 0
+    tool = Tool(np.array([place.x, place.y, place.z]), _seconds(pose.header), force)
+    return CameraFrame(depth, mask, camera, stamp, images["colour"]), tool
+
+
+def _image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
+    """Return an image: depth in metres, colours as red, green and blue."""
+    encoding = message.encoding
+    if encoding not in encodings:
+        raise MechSearchError(
+            f"{topic} is encoded as {encoding!r}; choose one of {', '.join(encodings)}"
+        )
+    kind, channels = _ENCODINGS[encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    width = message.width * channels * dtype.itemsize
+    data = np.asarray(message.data, np.uint8)
+    if message.step < width or data.size != message.step * message.height:
+        raise MechSearchError(
+            f"{topic} has {data.size} bytes in rows of {message.step}; expected {message.height} "
+            f"rows of {width} bytes or more"
+        )
+    rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :width])
+    image: Array = rows.view(dtype).astype(kind)
+    if encoding in _DEPTH:
+        return image / np.float32(1000) if encoding == "16UC1" else image
+    if channels == 1:
+        return image
+    image = image.reshape(message.height, message.width, channels)[..., :3]
+    return image[..., ::-1] if encoding.startswith("bgr") else image
+
+
+def _camera(info: Any, topics: Topics, pose: Floats) -> Camera:
+    if np.any(np.asarray(info.d) != 0):
+        raise MechSearchError(
+            f"{topics.camera_info} has the distortion {np.asarray(info.d).tolist()}; expected "
+            "rectified images, such as image_proc makes"
+        )
+    k = np.asarray(info.k).reshape(3, 3)
+    numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+    return Camera(info.width, info.height, *numbers, tuple(pose.ravel().tolist()))
+
+
+def _pose(
+    frame: str, base: str, time: float, transforms: dict[str, list[tuple[float, str, Floats]]]
+) -> Floats:
+    """Return the pose (4, 4) of a frame in the base frame."""
+
+    def root(name: str) -> tuple[str, Floats]:
+        pose, seen = np.eye(4), {name}
+        while name in transforms:
+            rows = transforms[name]
+            _, name, own = next((r for r in reversed(rows) if r[0] <= time), rows[0])
+            pose = own @ pose
+            if name in seen:
+                break
+            seen.add(name)
+        return name, pose
+
+    (top, pose), (base_top, base_pose) = root(frame.strip("/")), root(base.strip("/"))
+    if top != base_top:
+        known = {*transforms, *(row[1] for rows in transforms.values() for row in rows)}
+        raise MechSearchError(
+            f"no transform from {frame!r} to {base!r}; /tf and /tf_static connect "
+            f"{', '.join(sorted(known)) or 'nothing'}"
+        )
+    found: Floats = invert(base_pose) @ pose
+    return found
