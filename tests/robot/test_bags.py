@@ -1,0 +1,218 @@
+"""Recorded bags through the controller, written and read back by rosbags itself."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mechsearch.cli import main
+from mechsearch.robot.bags import Topics, read_bag
+from mechsearch.types import MechSearchError
+from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, LIMITS, SimulatedRobot
+
+pytest.importorskip("rosbags")
+
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+BEGAN = 1_700_000_000.0
+TOPICS = Topics()
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Four images of a robot that stands still, and the tool."""
+    robot = SimulatedRobot()
+    frames = []
+    for _ in range(4):
+        frames.append((robot.frame(colour=True), robot.tool()))
+        robot.now += 0.2
+    return frames
+
+
+def header(seconds, frame):
+    nanoseconds = round((BEGAN + seconds) * 1e9)
+    time = TYPES["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+    return TYPES["std_msgs/msg/Header"](time, frame)
+
+
+def image(seconds, array, encoding):
+    array = np.ascontiguousarray(array)
+    data = array.view(np.uint8).ravel()
+    return TYPES["sensor_msgs/msg/Image"](
+        header(seconds, "camera_optical"), *array.shape[:2], encoding, 0,
+        data.size // len(array), data,
+    )  # fmt: skip
+
+
+def info(seconds, camera, distortion=0.0):
+    k = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1])
+    roi = TYPES["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    return TYPES["sensor_msgs/msg/CameraInfo"](
+        header(seconds, "camera_optical"), camera.height, camera.width, "plumb_bob",
+        np.full(5, distortion), k, np.eye(3).ravel(), np.zeros(12), 0, 0, roi,
+    )  # fmt: skip
+
+
+def vector(kind, values):
+    return TYPES[f"geometry_msgs/msg/{kind}"](*map(float, values))
+
+
+def transform(child, parent, matrix):
+    # Of a rotation by less than half a turn.
+    w = np.sqrt(1 + np.trace(matrix[:3, :3])) / 2
+    skew = matrix[:3, :3] - matrix[:3, :3].T
+    xyz = np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * w)
+    return TYPES["geometry_msgs/msg/TransformStamped"](
+        header(0, parent), child,
+        TYPES["geometry_msgs/msg/Transform"](
+            vector("Vector3", matrix[:3, 3]), vector("Quaternion", [*xyz, w])
+        ),
+    )  # fmt: skip
+
+
+def about_x(angle):
+    matrix = np.eye(4)
+    matrix[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def messages(frames, depth="16UC1", late=0.0, distortion=0.0, leave_out=(), small=()):
+    """Yield topic, seconds and message of a bag."""
+    pose = frames[0][0].camera.pose
+    # From the base to the camera in two steps, as robots have them.
+    half = about_x(2.0)
+    tree = [
+        transform("camera_link", "base_link", pose @ half.T),
+        transform("camera_optical", "camera_link", half),
+    ]
+    yield (
+        "/tf_static",
+        0.0,
+        TYPES["tf2_msgs/msg/TFMessage"](
+            [one for one in tree if one.child_frame_id not in leave_out]
+        ),
+    )
+    for frame, tool in frames:
+        t = frame.time
+        z = frame.depth if depth == "32FC1" else np.round(1000 * frame.depth).astype(np.uint16)
+        bgr, mask = frame.colour[..., ::-1], frame.mask.astype(np.uint8) * 255
+        yield TOPICS.depth, t, image(t, z[::2] if "depth" in small else z, depth)
+        yield TOPICS.camera_info, t, info(t, frame.camera, distortion)
+        yield TOPICS.mask, t, image(t, mask[:, ::2] if "mask" in small else mask, "mono8")
+        yield TOPICS.colour, t, image(t, bgr, "bgr8")
+        place = TYPES["geometry_msgs/msg/Pose"](
+            vector("Point", tool.position), vector("Quaternion", [0, 0, 0, 1])
+        )
+        stamped = TYPES["geometry_msgs/msg/PoseStamped"](header(t + late, "base_link"), place)
+        yield TOPICS.tool, t, stamped
+
+
+def written(place, rows, plugin=StoragePlugin.SQLITE3, leave_out=()):
+    with Writer(place, version=9, storage_plugin=plugin) as writer:
+        connections = {}
+        for topic, seconds, message in rows:
+            if topic in leave_out:
+                continue
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            raw = STORE.serialize_cdr(message, kind)
+            writer.write(connections[topic], round((BEGAN + seconds) * 1e9), raw)
+    return place
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+@pytest.mark.parametrize(("depth", "within"), [("16UC1", 0.0005), ("32FC1", 0.0)])
+def test_a_bag_gives_back_what_was_seen(recorded, tmp_path, plugin, depth, within):
+    place = written(tmp_path / "bag", messages(recorded, depth), plugin)
+    found = list(read_bag(place, TOPICS))
+    assert len(found) == len(recorded)
+    for (frame, tool), (true_frame, true_tool) in zip(found, recorded, strict=True):
+        np.testing.assert_allclose(frame.depth, true_frame.depth, atol=within + 1e-6)
+        np.testing.assert_array_equal(frame.mask, true_frame.mask)
+        np.testing.assert_array_equal(frame.colour, true_frame.colour)
+        np.testing.assert_allclose(frame.camera.pose, true_frame.camera.pose, atol=1e-6)
+        assert frame.camera.fx == true_frame.camera.fx
+        np.testing.assert_allclose(tool.position, true_tool.position)
+        assert frame.time - BEGAN == pytest.approx(true_frame.time, abs=1e-6)
+
+
+BAD = {
+    "no depth": ({}, {"leave_out": (TOPICS.depth,)}, "no depth at /camera/aligned_depth"),
+    "no camera info": ({}, {"leave_out": (TOPICS.camera_info,)}, "no camera_info at"),
+    "no transform": (
+        {"leave_out": ("camera_link",)}, {},
+        "no transform from 'camera_optical' to 'base_link'; /tf and /tf_static connect camera_link",
+    ),
+    "clocks apart": ({"late": -3.0}, {}, "clocks run apart: /tool/pose is stamped 3.00 s before"),
+    "an unknown encoding": ({"depth": "mono16"}, {}, "'mono16'; choose one of 16UC1, 32FC1"),
+    "a depth of another size": ({"small": ("depth",)}, {}, "320 x 120 px; .* says 320 x 240 px"),
+    "a mask of another size": ({"small": ("mask",)}, {}, "160 x 240 px; expected 320 x 240 px"),
+    "distortion": ({"distortion": 0.1}, {}, "expected rectified images"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_bag_gets_one_clear_message(recorded, tmp_path, what):
+    of_messages, of_bag, says = BAD[what]
+    place = written(tmp_path / "bag", messages(recorded, **of_messages), **of_bag)
+    with pytest.raises(MechSearchError, match=says):
+        list(read_bag(place, TOPICS))
+
+
+def test_what_is_no_bag_is_refused(tmp_path):
+    with pytest.raises(MechSearchError, match="no bag at"):
+        list(read_bag(tmp_path, TOPICS))
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: 3")
+    with pytest.raises(MechSearchError, match="is damaged"):
+        list(read_bag(tmp_path, TOPICS))
+
+
+def play(bag, policy, out):
+    place = [*BASE_FROM_WORKSPACE[:3, 3].tolist(), 90.0]
+    corners = [f"--low {' '.join(map(str, LIMITS['low']))}", "--high 0.82 0.32 0.36"]
+    words = (
+        f"robot play {bag} --policy {policy} --out {out} --workspace {' '.join(map(str, place))}"
+    )
+    main([*words.split(), *" ".join(corners).split()])
+
+
+def test_a_bag_is_played(recorded, exported_pushes, tmp_path, capsys):
+    bag, out = written(tmp_path / "bag", messages(recorded), StoragePlugin.MCAP), tmp_path / "out"
+    play(bag, exported_pushes, out)
+    said = capsys.readouterr().out
+    assert "move to (" in said
+    assert "begins a" in said
+    with AnyReader([out / "commands"]) as reader:
+        rows = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages()]
+    goals = [message for topic, _, message in rows if topic == "/mechsearch/command"]
+    reasons = [json.loads(m.data) for topic, _, m in rows if topic == "/mechsearch/reason"]
+    assert len(goals) == len(reasons) == len(recorded)
+    tip = recorded[0][1].position
+    goal = goals[0].pose.position
+    way = np.array([goal.x, goal.y, goal.z]) - tip
+    assert 0.005 < np.linalg.norm(way) < 0.0501
+    assert reasons[0]["kind"] == "move"
+    assert set(reasons[0]["expects"]) == {"uncovered", "occlusion", "actions"}
+    # What is drawn ends at the goal.
+    picture = np.array(Image.open(out / "0001.png"))
+    assert picture.shape == (240, 320, 3)
+    column, row, _ = recorded[0][0].camera.project([goal.x, goal.y, goal.z])
+    assert picture[round(row), round(column)].tolist() == [40, 200, 80]
+    # A place that is taken is left as it is.
+    with pytest.raises(SystemExit):
+        play(bag, exported_pushes, out)
+    assert "there already" in capsys.readouterr().err
+
+
+def test_a_bad_bag_leaves_nothing_behind(recorded, exported_pushes, tmp_path, capsys):
+    bag = written(tmp_path / "bag", messages(recorded), leave_out=(TOPICS.depth,))
+    with pytest.raises(SystemExit):
+        play(bag, exported_pushes, tmp_path / "out")
+    assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
