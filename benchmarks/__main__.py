@@ -36,12 +36,13 @@ MEASUREMENTS = {
     "scaling": "scaling:measure",
     "decisions": "decisions:measure",
     "trust": "trust:measure",
+    "robot": "robot:measure",
     "heaps-4200": "end_to_end:measure_heaps",
     "train-8000": "end_to_end:measure_training",
 }
 ORDER = (
     "action-5", "action-10", "action-15", "workers", "vector", "frames", "heaps-per-second",
-    "heaps-4200", "updates", "train", "grasp", "physics", "frame-", "score",
+    "heaps-4200", "updates", "train", "grasp", "robot", "physics", "frame-", "score",
     "overlap", "objects", "side",
 )  # fmt: skip
 

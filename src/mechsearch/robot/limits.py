@@ -146,7 +146,7 @@ class Guard:
         if motion.kind not in (MOVE, RETREAT, STOP) or not np.isfinite([*motion.goal]).all():
             self.refusal, self._motion = f"no motion: {motion.kind} to {motion.goal}", None
             return
-        if motion.kind == STOP:
+        if motion.kind == STOP and (self._motion is None or self._motion.kind != STOP):
             self._point = None
         self._motion, self._heard = motion, now
 

@@ -1,6 +1,7 @@
 """Trained policies for computers without PyTorch."""
 
 import hashlib
+import logging
 import warnings
 from dataclasses import asdict
 from importlib.metadata import version
@@ -56,6 +57,8 @@ def _write(
     network: torch.nn.Module, examples: Any, inputs: list[str], outputs: list[str], path: Path
 ) -> None:
     several = {0: torch.export.Dim("N", min=1, max=65536)} if examples[0].shape[0] > 1 else None
+    # What it does not find, it does not need.
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
