@@ -32,7 +32,7 @@ COMMANDS = {
     "show": ("evaluation:ShowEpisode", "draw a recorded episode: picture, filmstrip, GIF or MP4"),
     "export episodes": ("export_episodes:ExportEpisodes", "episodes for LeRobot, Minari"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
-    "export policy": ("exporting:Export", "a policy for a robot's computer, without PyTorch"),
+    "export policy": ("export_policy:ExportPolicy", "a policy for a robot's computer, without PyTorch"),
     "robot play": ("robot:PlayBag", "what a policy would do on a recorded bag; nothing moves"),
     "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
     "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),

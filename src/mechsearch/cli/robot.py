@@ -22,7 +22,7 @@ class PlayBag(Command):
 
     Attributes:
         bag: Of ROS 2, in sqlite3 or MCAP.
-        policy: What `mechsearch export` wrote.
+        policy: What `mechsearch export policy` wrote.
         out: New folder for the pictures and the bag of commands.
         workspace: Where the middle of the table's workspace is in the base frame, and about its
             vertical axis how it is turned [m, m, m, degrees].

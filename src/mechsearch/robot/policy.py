@@ -1,4 +1,4 @@
-"""A policy as `mechsearch export` writes it: networks for onnxruntime, beside what they are."""
+"""A policy as `mechsearch export policy` writes it: networks for onnxruntime, beside what they are."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -151,14 +151,14 @@ class Chooser(Protocol):
 
 
 def open_policy(folder: str | Path) -> Chooser:
-    """Return a policy that `mechsearch export` wrote; needs the `robot` extra.
+    """Return a policy that `mechsearch export policy` wrote; needs the `robot` extra.
 
     Raises:
         MechSearchError: If it is missing, damaged, or written for another version.
     """
     description, network = _description(Path(folder)), Path(folder) / ONNX_FILE
     if not network.is_file():
-        raise MechSearchError(f"no network at {network}; expected what `mechsearch export` wrote")
+        raise MechSearchError(f"no network at {network}; expected what `mechsearch export policy` wrote")
     content = network.read_bytes()
     if hashlib.sha256(content).hexdigest() != description.network:
         raise MechSearchError(

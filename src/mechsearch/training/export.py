@@ -26,7 +26,7 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
     Raises:
         MechSearchError: If there is no such policy, or it is of a kind that is not exported.
     """
-    check_extra("`mechsearch export`", "export")
+    check_extra("`mechsearch export policy`", "export")
     policy = policies.policy_named(spec)
     inner: Any = getattr(policy, "policy", policy)
     if not hasattr(inner, "to_export"):

@@ -11,7 +11,7 @@ from mechsearch.training.export import export_policy
 
 
 @dataclass(frozen=True)
-class Export(Command):
+class ExportPolicy(Command):
     """Write a policy for a robot's computer, which needs no PyTorch: its network, and what it is.
 
     Attributes:
