@@ -1,4 +1,4 @@
-"""A policy as `mechsearch export policy` writes it: networks for onnxruntime, beside what they are."""
+"""A policy as `mechsearch export policy` writes it: a network for onnxruntime, and what it is."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -158,7 +158,9 @@ def open_policy(folder: str | Path) -> Chooser:
     """
     description, network = _description(Path(folder)), Path(folder) / ONNX_FILE
     if not network.is_file():
-        raise MechSearchError(f"no network at {network}; expected what `mechsearch export policy` wrote")
+        raise MechSearchError(
+            f"no network at {network}; expected what `mechsearch export policy` wrote"
+        )
     content = network.read_bytes()
     if hashlib.sha256(content).hexdigest() != description.network:
         raise MechSearchError(
