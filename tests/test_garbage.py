@@ -54,6 +54,8 @@ verify FILE --heaps HEAPS --workers 1
 verify EPISODES --heaps FILE --workers 1
 show FILE --out OUT/a.png
 show EPISODES --objects FILE --out OUT/a.gif
+export episodes FILE --format lerobot --out OUT/a --workers 1
+status FILE
 pack FILE --scores EPISODES --out OUT/a.safetensors
 report FILE
 grasp score --heaps FILE
