@@ -1,6 +1,6 @@
 #!/bin/bash
 # What pip installs: wheel and source archive, with each set of optional parts, on each Python, tried in another folder.
-# Usage: release.sh UV CONSTRAINTS DIST PYTHON...
+# Usage: release.sh UV CONSTRAINTS DIST PYTHON..., with PARTS for some of the optional parts alone
 set -euo pipefail
 uv=$(realpath "$1") constraints=$(realpath "$2") dist=$(realpath "$3")
 shift 3
@@ -21,7 +21,7 @@ base() {
 	try mechsearch doctor
 	try mechsearch heaps show household-single --out heaps.png
 	try mechsearch evaluate teacher-spiral --limit 1 --workers 2 --brief
-	try mechsearch show evaluations/teacher-spiral.npz --out episode.gif
+	try mechsearch show evaluations/teacher-spiral.npz --size 64 --out episode.gif
 	try mechsearch export episodes evaluations/teacher-spiral.npz --format minari --out data --workers 1
 	# What is not installed is named, with what to install.
 	if mechsearch report evaluations 2>"$home/said"; then exit 1; fi
@@ -30,12 +30,12 @@ base() {
 
 learn() {
 	try mechsearch evaluate single --limit 1 --workers 1 --brief
-	try mechsearch train debug --heaps household-single --out run
+	try mechsearch train debug --heaps household-single --actions 40 --validation-heaps 1 --out run
 }
 
 all() {
 	learn
-	try mechsearch show evaluations/single-*.npz --out episode.mp4
+	try mechsearch show evaluations/single-*.npz --size 64 --out episode.mp4
 	try mechsearch report evaluations run --out report.html --pdf report.pdf
 	printf 'v -%s 0 0\nv %s 0 0\nv 0 .05 0\nv 0 0 .04\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n' .05 .05 >wedge.obj
 	mkdir -p toys && mv wedge.obj toys && printf 'object,mass_kg\nwedge,0.05\n' >toys/masses.csv
@@ -46,7 +46,7 @@ robot() {
 	try mechsearch doctor
 }
 
-for extra in base learn $(grep -o "^robot = " pyproject.toml | cut -d' ' -f1) all; do
+for extra in ${PARTS:-base learn $(grep -o "^robot = " pyproject.toml | cut -d" " -f1) all}; do
 	for python in "$@"; do
 		for file in "$dist"/*.whl "$dist"/*.tar.gz; do
 			# An archive builds the same wheel, and all parts together are each part: once is enough.

@@ -33,6 +33,7 @@ def test_a_file_gets_a_line_at_first_every_half_a_minute_and_last(clock, monkeyp
         for done in range(1, 101):
             tell(f"method, reward {-done}", done, 100)
             clock.now += 0.5
+        tell("method, scoring", 100, 100)
     lines = stream.getvalue().splitlines()
     assert [line.split(",")[1].split()[1] for line in lines] == ["-1", "-61", "-100"]
     assert "─ 1/100" in lines[0]

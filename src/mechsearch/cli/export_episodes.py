@@ -49,8 +49,9 @@ class ExportEpisodes(OfObjects, Spread):
 
     def run(self) -> None:
         """Write the data set, and say how it is opened."""
-        check_absent(self.out)
-        check_place(self.out.with_name(f".{self.out.name}.partial"))
+        out = self.out.resolve()
+        check_absent(out)
+        check_place(out.with_name(f".{out.name}.partial"))
         left_out: list[str] = []
         with self.spread() as (workers, mapper), bars() as progress:
             if Path(self.source).suffix == ".npz":
@@ -66,11 +67,11 @@ class ExportEpisodes(OfObjects, Spread):
                 evaluation, self.objects, workers, progress, mapper, left_out.append
             )  # fmt: skip
             if self.format == "minari":
-                write_folder(self.out, lambda f: write_minari(f, header, frames, self.out.name))
+                write_folder(out, lambda f: write_minari(f, header, frames, out.name))
             else:
-                write_folder(self.out, lambda f: write_lerobot(f, header, frames))
+                write_folder(out, lambda f: write_lerobot(f, header, frames))
         for line in left_out:
             say(line)
-        call = _OPENED_BY[self.format].format(name=self.out.name, out=self.out)
+        call = _OPENED_BY[self.format].format(name=out.name, out=self.out)
         say(f"{len(evaluation.episodes) - len(left_out)} episodes; opened by {call}")
         wrote(self.out)

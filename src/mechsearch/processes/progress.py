@@ -50,6 +50,7 @@ class _Display:
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._moving = stream, stream.isatty()
         self._told: dict[str, deque[tuple[float, int]]] = {}
+        self._over: set[str] = set()
         self._drawn, self._open, self._label = -_REPEATED, False, ""
 
     def __call__(self, label: str, done: int, total: int) -> None:
@@ -67,6 +68,10 @@ class _Display:
         anew = len(told) == 1 or (self._moving and label != self._label)
         if done < total and now - self._drawn < wait and not anew:
             return
+        if done >= total and not self._moving:
+            if name in self._over:
+                return
+            self._over.add(name)
         self._drawn, self._label = now, label
         text = f"{label}  {_state(told, total)}"
         if self._moving:
