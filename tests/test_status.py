@@ -10,6 +10,13 @@ from mechsearch.files import PROGRESS_FILE
 from mechsearch.training import run as training
 
 HEAPS = "household-single"
+STATE = json.dumps(
+    {
+        "label": "one, scoring", "done": 300, "total": 900, "time": 1100.0, "began": [1000.0, 100],
+    }
+)  # fmt: skip
+"""What a run has told of itself: it began at 100 actions, 100 s before."""
+
 OPTIONS = {"actions": 8, "evaluate_every": 4, "checkpoint_every": 2, "validation_heaps": 1}
 
 
@@ -48,10 +55,32 @@ def test_time_left_is_what_remains_at_the_pace_so_far(tmp_path, capsys, monkeypa
     curve = mechsearch.CurveLogger(tmp_path / "run", "theirs", seed=3)
     curve.episode(1200, -8.0, 20)
     assert "theirs, seed 3: 1,200 actions" in said(tmp_path / "run", capsys)
-    state = {"label": "theirs, scoring", "done": 300, "total": 900, "time": 1100.0}
-    (tmp_path / "run" / PROGRESS_FILE).write_text(json.dumps({**state, "began": [1000.0, 100]}))
+    (tmp_path / "run" / PROGRESS_FILE).write_text(STATE)
     monkeypatch.setattr("time.time", lambda: 1110.0)
     with training.alone(tmp_path / "run" / "run", "the run"):
         found = said(tmp_path / "run", capsys)
     # Two a second: 300 seconds for the 600 that are left, of which ten have passed.
     assert "300 of 900 actions (33%); at work, scoring; 2 actions a second, 0:04:50 left" in found
+
+
+def test_a_sweep_names_the_runs_that_are_at_work(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("torch")
+    from mechsearch.experiments.folder import SweepFolder
+    from mechsearch.experiments.plan import QUICK, open_plan
+    from mechsearch.experiments.sweep import BEGAN, Journal
+    from mechsearch.training.config import run_config, save_config
+
+    folder = SweepFolder(tmp_path)
+    open_plan(QUICK, folder)
+    journal = Journal(folder.journal)
+    journal.begin(2)
+    journal.write(BEGAN, job="single/method-seed0")
+    run = folder.run("single", "method-seed0")
+    save_config(run_config("method"), run / "config.json")
+    (run / PROGRESS_FILE).write_text(STATE)
+    monkeypatch.setattr("time.time", lambda: 1110.0)
+    with training.alone(folder.lock, "the sweep"), training.alone(run / "run", "the run"):
+        main(["status", str(tmp_path)])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert "method, seed 0: 300 of 900 actions (33%); at work, scoring" in last
+    assert last.endswith("2 actions a second, 0:04:50 left")

@@ -11,10 +11,9 @@ from typing import Annotated, Any
 import tyro
 
 from mechsearch.cli.command import Command, say, say_table
-from mechsearch.evaluation.episodes import metrics_of
-from mechsearch.files import PLAN_FILE, PROGRESS_FILE, locked, read_json
+from mechsearch.files import CONFIG_FILE, PLAN_FILE, PROGRESS_FILE, locked, read_json
 from mechsearch.findings.experiment import EVALUATIONS, Run, read_run
-from mechsearch.findings.tables import display, number
+from mechsearch.findings.tables import DISPLAYS, number
 from mechsearch.types import check_extra
 
 
@@ -49,7 +48,7 @@ class Status(Command):
         line, at_work = run_status(folder, run)
         rows = list(_scores(run))
         if rows:
-            names = [display(name).label for name in rows[0][1]]
+            names = [DISPLAYS[name].label for name in rows[0][1]]
             say_table(line, ("scored on", "at", *names), [(a, *b) for a, _, b in rows])
         else:
             say(line)
@@ -65,8 +64,10 @@ def run_status(folder: Path, run: Run | None = None) -> tuple[str, bool]:
     """Return how far a run is in one line, and whether somebody is at work on it.
 
     Raises:
-        MechSearchError: If the folder holds no run.
+        MechSearchError: If the run's files are damaged.
     """
+    if not (folder / CONFIG_FILE).is_file():
+        return f"{folder}: about to begin", True
     run = run or read_run(folder)
     name = f"{folder}: {run.name}, seed {run.seed}"
     with locked(folder / "run", wait=False) as free:
@@ -96,6 +97,6 @@ def _scores(run: Run) -> Iterator[tuple[str, tuple[str, ...], tuple[str, ...]]]:
     for kind, heaps in EVALUATIONS.items():
         if records := run.records.get(kind):
             last = records[-1]
-            names = metrics_of(last)
+            names = tuple(name for name in last if name in DISPLAYS)
             values = (number(name, last[name]) for name in names)
             yield heaps, names, (f"{last['step']:,} actions", *values)

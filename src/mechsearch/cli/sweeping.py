@@ -12,7 +12,6 @@ from mechsearch.cli.overrides import optional, overridden
 from mechsearch.cli.status import run_status
 from mechsearch.env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
-from mechsearch.experiments.jobs import Training
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
 from mechsearch.experiments.sweep import DONE, RUNNING, STATES, SweepStatus, carry_out, status_of
 from mechsearch.findings.tables import Table, to_text
@@ -75,12 +74,13 @@ def say_status(out: Path) -> bool:
     Raises:
         MechSearchError: If there is no sweep.
     """
-    found = status_of(SweepFolder(out))
+    folder = SweepFolder(out)
+    found = status_of(folder)
     _report(found)
-    running = [one.job for one in found.jobs if one.state == RUNNING]
-    for job in running:
-        if isinstance(job, Training) and job.directory.is_dir():
-            say(run_status(job.directory)[0])
+    running = [one.job.name for one in found.jobs if one.state == RUNNING]
+    for condition, _, title in (name.partition("/") for name in running):
+        if folder.run(condition, title).is_dir():
+            say(run_status(folder.run(condition, title))[0])
     return bool(running)
 
 
