@@ -34,6 +34,7 @@ learn() {
 }
 
 all() {
+	try mechsearch doctor
 	learn
 	try mechsearch show evaluations/single-*.npz --size 64 --out episode.mp4
 	try mechsearch report evaluations run --out report.html --pdf report.pdf

@@ -46,6 +46,9 @@ def test_optional_parts_tell_their_versions(capsys):
     main(["doctor", "--objects", "absent"])
     found = told(capsys)
     assert found["PyTorch"] == ("works", torch.__version__)
+    for name, module in EXTRAS.values():
+        there = importlib.util.find_spec(module) is not None
+        assert found[name][0] == ("works" if there else "missing")
     assert found["objects"][0] == "broken"
     assert "does not exist" in found["objects"][1]
 

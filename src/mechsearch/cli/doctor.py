@@ -150,7 +150,7 @@ def _version(name: str) -> str:
     """Return a module's version; FFmpeg is a program, whose own is asked."""
     module = import_module(name)
     ask = getattr(module, "get_ffmpeg_version", None)
-    return str(ask() if ask else module.__version__)
+    return str(ask() if ask else getattr(module, "__version__", None) or version(name))
 
 
 def _objects(spec: str) -> str:
