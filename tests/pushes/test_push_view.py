@@ -8,6 +8,7 @@ from mechsearch.pushes.push import (
     MIRRORED_NUMBERS,
     NUMBERS,
     PATCH,
+    PlannedPush,
     Push,
     Sight,
     draw_pushes,
@@ -104,3 +105,22 @@ def test_no_pushes_have_no_views(sight):
     views = view_pushes([], sight)
     assert views.patches.shape == (0, *PATCH)
     assert views.numbers.shape == (0, NUMBERS)
+
+
+def test_pushes_are_planned_together_as_one_by_one(env, camera):
+    flown = 0
+    for heap in range(4):
+        obs, _ = env.reset(seed=heap, options={"heap": heap})
+        sight = look(obs, camera)
+        pushes = draw_pushes(60, np.random.default_rng(heap))
+        views = view_pushes(pushes, sight)
+        plans = [PlannedPush(push, sight) for push in pushes]
+        np.testing.assert_array_equal(views.actions, [p.approach + p.length for p in plans])
+        starts = np.float32([[10 * p.start[2], p.approach / 10, p.length / 10] for p in plans])
+        np.testing.assert_array_equal(views.numbers[:, [4, 9, 10]], starts)
+        np.testing.assert_array_equal(views.numbers[:, 14], [p.flies for p in plans])
+        flown += sum(p.flies for p in plans)
+        # Nor does a view depend on what is viewed with it.
+        alone = view_pushes(pushes[7:8], sight)
+        np.testing.assert_array_equal(alone.patches, views.patches[7:8])
+    assert 0 < flown < 240

@@ -25,6 +25,8 @@ _NEEDED_BY = {
     "meshes": "an object made from a mesh file, such as those of YCB,",
     "ray": "work on many machines",
     "video": "an MP4 film (a GIF does not)",
+    "export": "`mechsearch export`",
+    "robot": "an exported policy, or a recorded bag,",
 }
 _ACTIONS = 10
 

@@ -29,8 +29,9 @@ class Limits:
         speed: Of the tip [m/s].
         force: At the tool [N]. It grows by the robot's stiffness times its speed until the driver
             reacts: stiff robots must go slowly.
-        lead: How far the set point may be ahead of the tip [m]: what bounds the force of a push,
-            and how fast the tool sets off when what blocks it gives way.
+        lag: How far the set point may be ahead of the tip, as the time at full speed [s]: what
+            bounds the force of a push, and how fast the tool sets off when what blocks it gives
+            way. As long as the robot takes to follow, or it is slower.
         image_age: Of an image when it is decided on [s].
         watchdog: Between two commands, and between two measurements of the tool [s].
         camera_shift: How far a camera may move from where it was at first [m].
@@ -44,7 +45,7 @@ class Limits:
     high: tuple[float, float, float]
     speed: float = 0.1
     force: float = 20.0
-    lead: float = 0.003
+    lag: float = 0.025
     image_age: float = 0.3
     watchdog: float = 0.3
     camera_shift: float = 0.01
@@ -60,7 +61,7 @@ class Limits:
             raise MechSearchError(
                 f"the box from {self.low} to {self.high} m is empty; expected low below high"
             )
-        names = ("speed", "force", "lead", "image_age", "watchdog", "camera_shift", "camera_turn")
+        names = ("speed", "force", "lag", "image_age", "watchdog", "camera_shift", "camera_turn")
         for name in (*names, "lost_looks", "retreat"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
@@ -172,7 +173,9 @@ class Guard:
         ahead = cap_length(
             ahead, speed * tick * min(1.0, float(np.linalg.norm(ahead)) / (speed * _SLOWING))
         )
-        self._point = position + cap_length(self._point + ahead - position, limits.lead)
+        self._point = position + cap_length(
+            self._point + ahead - position, limits.lag * limits.speed
+        )
         return self._point
 
     def _check(self, tool: Tool, now: float, stop: bool) -> None:
