@@ -109,10 +109,10 @@ def test_no_pushes_have_no_views(sight):
 
 def test_pushes_are_planned_together_as_one_by_one(env, camera):
     flown = 0
-    for heap in range(4):
-        obs, _ = env.reset(seed=heap, options={"heap": heap})
+    for seed in range(4):
+        obs, _ = env.reset(seed=seed)
         sight = look(obs, camera)
-        pushes = draw_pushes(60, np.random.default_rng(heap))
+        pushes = draw_pushes(60, np.random.default_rng(seed))
         views = view_pushes(pushes, sight)
         plans = [PlannedPush(push, sight) for push in pushes]
         np.testing.assert_array_equal(views.actions, [p.approach + p.length for p in plans])
