@@ -61,7 +61,8 @@ def measure(settings: Settings) -> Iterator[Figure]:
 
 
 def _seen(env: HeapEnv, count: int) -> list[Observation]:
-    rng, seen = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    seen: list[Observation] = []
     while len(seen) < count:
         obs, over = env.reset(seed=len(seen))[0], False
         while not over and len(seen) < count:
