@@ -24,7 +24,7 @@ _ENCODINGS = {
     "16UC1": ("u2", 1), "32FC1": ("f4", 1), "rgb8": ("u1", 3), "bgr8": ("u1", 3),
     "rgba8": ("u1", 4), "bgra8": ("u1", 4), "mono8": ("u1", 1), "8UC1": ("u1", 1),
 }  # fmt: skip
-_DEPTH, _MASK = ("16UC1", "32FC1"), ("mono8", "8UC1")
+DEPTH_ENCODINGS, MASK_ENCODINGS = ("16UC1", "32FC1"), ("mono8", "8UC1")
 _COLOUR = ("rgb8", "bgr8", "rgba8", "bgra8")
 
 
@@ -118,12 +118,16 @@ def write_commands(path: Path, motions: Sequence[Motion], base: str, mcap: bool)
                     types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
                 ),
             )
-            expects = None if motion.expects is None else asdict(motion.expects)
-            said = {"kind": motion.kind, "speed": motion.speed, "reason": motion.reason}
-            said |= {"confidence": motion.confidence, "expects": expects}
-            reason = types[reason_type](json.dumps(said))
+            reason = types[reason_type](told(motion))
             writer.write(goals, nanoseconds, store.serialize_cdr(goal, goal_type))
             writer.write(reasons, nanoseconds, store.serialize_cdr(reason, reason_type))
+
+
+def told(motion: Motion) -> str:
+    """Return why a motion was chosen, as JSON."""
+    expects = None if motion.expects is None else asdict(motion.expects)
+    said = {"kind": motion.kind, "speed": motion.speed, "reason": motion.reason}
+    return json.dumps(said | {"confidence": motion.confidence, "expects": expects})
 
 
 def draw(frame: CameraFrame, tool: Tool, motion: Motion) -> Image.Image:
@@ -184,7 +188,8 @@ def _by_topic(reader: Any) -> dict[str, Any]:
     return {connection.topic: connection for connection in reader.connections}
 
 
-def _seconds(header: Any) -> float:
+def seconds_of(header: Any) -> float:
+    """Return the time of a message's header [s]."""
     return float(header.stamp.sec + header.stamp.nanosec / 1e9)
 
 
@@ -202,10 +207,10 @@ def _indexed(
     for connection, recorded, raw in reader.messages(some):
         message = reader.deserialize(raw, connection.msgtype)
         if connection.topic not in _TRANSFORMS:
-            index[names[connection.topic]].append((_seconds(message.header), recorded))
+            index[names[connection.topic]].append((seconds_of(message.header), recorded))
             continue
         for one in message.transforms:
-            since = -np.inf if connection.topic == "/tf_static" else _seconds(one.header)
+            since = -np.inf if connection.topic == "/tf_static" else seconds_of(one.header)
             r, t = one.transform.rotation, one.transform.translation
             pose = transform_from_pose([t.x, t.y, t.z, r.w, r.x, r.y, r.z])
             child = one.child_frame_id.strip("/")
@@ -258,13 +263,15 @@ def _seen(
                 f"no message at {getattr(topics, name)} within {_APART} s of the depth image at "
                 f"{stamp:.3f} s"
             )
-    depth = _image(message, topics.depth, _DEPTH)
-    camera = _camera(info, topics, _pose(message.header.frame_id, topics.base, stamp, transforms))
+    depth = decoded_image(message, topics.depth, DEPTH_ENCODINGS)
+    camera = rectified_camera(
+        info, topics, _pose(message.header.frame_id, topics.base, stamp, transforms)
+    )
     size = (camera.height, camera.width)
     images = {}
-    for name, encodings in (("mask", _MASK), ("colour", _COLOUR)):
+    for name, encodings in (("mask", MASK_ENCODINGS), ("colour", _COLOUR)):
         found = nearest(name)
-        image = None if found is None else _image(found, getattr(topics, name), encodings)
+        image = None if found is None else decoded_image(found, getattr(topics, name), encodings)
         if image is not None and image.shape[:2] != size:
             raise MechSearchError(
                 f"{getattr(topics, name)} has images of {image.shape[1]} x {image.shape[0]} px; "
@@ -284,12 +291,16 @@ def _seen(
             f"{topics.tool} is in the frame {pose.header.frame_id!r}; expected {topics.base!r}"
         )
     mask = None if images["mask"] is None else images["mask"] > 0
-    tool = Tool(np.array([place.x, place.y, place.z]), _seconds(pose.header), force)
+    tool = Tool(np.array([place.x, place.y, place.z]), seconds_of(pose.header), force)
     return CameraFrame(depth, mask, camera, stamp, images["colour"]), tool
 
 
-def _image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
-    """Return an image: depth in metres, colours as red, green and blue."""
+def decoded_image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
+    """Return an image: depth in metres, colours as red, green and blue.
+
+    Raises:
+        MechSearchError: If its encoding is none of these, or its bytes are too few.
+    """
     encoding = message.encoding
     if encoding not in encodings:
         raise MechSearchError(
@@ -306,7 +317,7 @@ def _image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
         )
     rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :width])
     image: Array = rows.view(dtype).astype(kind)
-    if encoding in _DEPTH:
+    if encoding in DEPTH_ENCODINGS:
         return image / np.float32(1000) if encoding == "16UC1" else image
     if channels == 1:
         return image
@@ -314,7 +325,12 @@ def _image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
     return image[..., ::-1] if encoding.startswith("bgr") else image
 
 
-def _camera(info: Any, topics: Topics, pose: Floats) -> Camera:
+def rectified_camera(info: Any, topics: Topics, pose: Floats) -> Camera:
+    """Return a camera of a CameraInfo, at a pose (4, 4) in the base frame.
+
+    Raises:
+        MechSearchError: If its images are not rectified.
+    """
     if np.any(np.asarray(info.d) != 0):
         raise MechSearchError(
             f"{topics.camera_info} has the distortion {np.asarray(info.d).tolist()}; expected "

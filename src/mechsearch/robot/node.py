@@ -1,0 +1,182 @@
+"""Robot and controller as processes that share nothing but messages: DDS, under ROS 2's names.
+
+Messages are ROS 2's standard ones, named and encoded as its middleware does. Needs the `dds` extra.
+"""
+
+import time
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+from numpy.typing import ArrayLike
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+from mechsearch.robot import bags
+from mechsearch.robot.controller import CameraFrame, Controller
+from mechsearch.robot.limits import MOVE, Guard, Motion, Tool
+from mechsearch.types import Floats
+
+STOP_TOPIC = "/mechsearch/stop"
+"""Whether somebody presses the stop (std_msgs/Bool)."""
+
+_POSE, _WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+_STORE = get_typestore(Stores.ROS2_JAZZY)
+_QUALITY = Qos(Policy.Reliability.Reliable(duration(milliseconds=20)), Policy.History.KeepLast(1))
+_HEARD = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(1))
+
+
+@cache
+def message_type(name: str) -> Any:
+    """Return the type of a standard message, such as "sensor_msgs/msg/Image", as ROS 2 names it."""
+    room, _, short = name.split("/")
+    fields = {field: _field(*kind) for field, kind in _STORE.fielddefs[name][1]}
+    return make_idl_struct(f"{short}_", f"{room}::msg::dds_::{short}_", fields)
+
+
+def _field(node: Nodetype, argument: Any) -> Any:
+    if node == Nodetype.NAME:
+        return message_type(argument)
+    if node == Nodetype.BASE:
+        name = argument[0]
+        return {"bool": bool, "string": str}.get(name) or getattr(types, name)
+    inner, idl = _field(*argument[0]), cast(Any, types)
+    return idl.array[inner, argument[1]] if node == Nodetype.ARRAY else idl.sequence[inner]
+
+
+class Bus:
+    """Publishes messages, and keeps the newest of each topic."""
+
+    def __init__(self, domain: int = 0) -> None:
+        """Join a domain: ROS_DOMAIN_ID, where that is set."""
+        self._participant = DomainParticipant(domain)
+        self._writers: dict[str, Any] = {}
+        self._readers: dict[str, Any] = {}
+        self._newest: dict[str, Any] = {}
+
+    def publish(self, topic: str, kind: str, **fields: Any) -> None:
+        """Publish a message of a kind, such as "std_msgs/msg/Bool"."""
+        if topic not in self._writers:
+            self._writers[topic] = DataWriter(self._participant, self._topic(topic, kind), _QUALITY)
+        self._writers[topic].write(message_type(kind)(**fields))
+
+    def newest(self, topic: str, kind: str) -> Any:
+        """Return the newest message that has come; None before the first."""
+        if topic not in self._readers:
+            self._readers[topic] = DataReader(self._participant, self._topic(topic, kind), _HEARD)
+        if come := self._readers[topic].take(10):
+            self._newest[topic] = come[-1]
+        return self._newest.get(topic)
+
+    def _topic(self, topic: str, kind: str) -> Topic[Any]:
+        return Topic(self._participant, f"rt{topic}", message_type(kind))
+
+
+def header(now: float, frame: str) -> Any:
+    """Return a message's header."""
+    seconds, nanoseconds = divmod(round(now * 1e9), 10**9)
+    stamp = message_type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
+    return message_type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
+
+
+def _vector(kind: str, values: ArrayLike) -> Any:
+    x, y, z = map(float, np.asarray(values))
+    return message_type(f"geometry_msgs/msg/{kind}")(x=x, y=y, z=z)
+
+
+def _publish_pose(bus: Bus, topic: str, position: ArrayLike, now: float, base: str) -> None:
+    turn = message_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = message_type("geometry_msgs/msg/Pose")(
+        position=_vector("Point", position), orientation=turn
+    )
+    bus.publish(topic, _POSE, header=header(now, base), pose=pose)
+
+
+class RobotNode:
+    """The driver's side: tells where the tool is, and follows commands within its guard's limits.
+
+    A command is a pose that the tip goes to; one stays where it is to stop.
+    """
+
+    def __init__(self, guard: Guard, bus: Bus, topics: bags.Topics) -> None:
+        """Take the guard of a robot."""
+        self.guard, self._bus, self._topics = guard, bus, topics
+        self._last: Any = None
+
+    def step(self, tool: Tool, now: float) -> Floats:
+        """Return where the tip should be next (3,) [m]; to be called at the robot's own rate."""
+        bus, topics = self._bus, self._topics
+        _publish_pose(bus, topics.tool, tool.position, tool.time, topics.base)
+        zero, force = _vector("Vector3", np.zeros(3)), _vector("Vector3", tool.force)
+        wrench = message_type("geometry_msgs/msg/Wrench")(force=force, torque=zero)
+        stamp = header(tool.time, topics.base)
+        bus.publish(topics.wrench, _WRENCH, header=stamp, wrench=wrench)
+        command = bus.newest(bags.COMMANDS_TOPIC, _POSE)
+        if command is not self._last:
+            place = command.pose.position
+            goal = np.array([place.x, place.y, place.z])
+            self.guard.receive(Motion(MOVE, goal, self.guard.limits.speed, now, ""), now)
+            self._last = command
+        pressed = bus.newest(STOP_TOPIC, "std_msgs/msg/Bool")
+        return self.guard.set_point(tool, now, pressed is not None and pressed.data)
+
+
+class ControllerNode:
+    """The controller's side: images and the tool's place in, commands and reasons out."""
+
+    def __init__(
+        self, controller: Controller, base_from_camera: Floats, bus: Bus, topics: bags.Topics
+    ) -> None:
+        """Take a controller, and the pose (4, 4) of a fixed camera in the base frame."""
+        self.controller, self._bus, self._topics = controller, bus, topics
+        self._pose = base_from_camera
+        self._depth: Any = None
+        self._frame: CameraFrame | None = None
+
+    def step(self, now: float) -> Motion | None:
+        """Command what the newest messages call for; None while something has not yet come.
+
+        To be called more often than the robot's watchdog asks for, whether or not images come.
+
+        Raises:
+            MechSearchError: If an image is encoded in an unknown way.
+        """
+        bus, topics = self._bus, self._topics
+        image = "sensor_msgs/msg/Image"
+        depth, mask = bus.newest(topics.depth, image), bus.newest(topics.mask, image)
+        info = bus.newest(topics.camera_info, "sensor_msgs/msg/CameraInfo")
+        pose, wrench = bus.newest(topics.tool, _POSE), bus.newest(topics.wrench, _WRENCH)
+        pressed = bus.newest(STOP_TOPIC, "std_msgs/msg/Bool")
+        if None in (depth, mask, info, pose):
+            return None
+        if depth is not self._depth and mask.header.stamp == depth.header.stamp:
+            self._depth = depth
+            self._frame = CameraFrame(
+                bags.decoded_image(depth, topics.depth, bags.DEPTH_ENCODINGS),
+                bags.decoded_image(mask, topics.mask, bags.MASK_ENCODINGS) > 0,
+                bags.rectified_camera(info, topics, self._pose),
+                bags.seconds_of(depth.header),
+            )
+        if self._frame is None:
+            return None
+        place, force = pose.pose.position, None if wrench is None else wrench.wrench.force
+        pressing = np.zeros(3) if force is None else np.array([force.x, force.y, force.z])
+        tool = Tool(np.array([place.x, place.y, place.z]), bags.seconds_of(pose.header), pressing)
+        stop = pressed is not None and pressed.data
+        motion = self.controller.step(self._frame, tool, now, stop)
+        _publish_pose(bus, bags.COMMANDS_TOPIC, motion.goal, now, topics.base)
+        bus.publish(bags.REASONS_TOPIC, "std_msgs/msg/String", data=bags.told(motion))
+        return motion
+
+    def spin(self, period: float = 0.05) -> None:
+        """Step on and on, each so many seconds."""
+        while True:
+            self.step(time.time())
+            time.sleep(period)

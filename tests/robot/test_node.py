@@ -1,0 +1,120 @@
+"""Robot and controller as two processes over loopback: killing either ends in a stop."""
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+
+from rosbags.typesys import Stores, get_typestore
+
+from mechsearch.robot.node import message_type
+
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/>"
+    "</Interfaces></General></Domain></CycloneDDS>"
+)
+
+
+class Process:
+    """One of `processes`, and what it tells."""
+
+    def __init__(self, name, domain):
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.robot.processes", name, str(domain)],
+            cwd=Path(__file__).parents[2], env={**os.environ, "CYCLONEDDS_URI": LOOPBACK},
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self._told = queue.Queue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self):
+        for line in self._process.stdout:
+            self._told.put(json.loads(line))
+
+    def until(self, holds, seconds=90):
+        ends = time.monotonic() + seconds
+        while True:
+            told = self._told.get(timeout=max(0.1, ends - time.monotonic()))
+            if holds(told):
+                return told
+
+    def kill(self):
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def both():
+    domain = 20 + os.getpid() % 180
+    robot, controller = Process("robot", domain), Process("controller", domain)
+    yield robot, controller
+    robot.kill()
+    controller.kill()
+
+
+def moves(robot):
+    first = np.array(robot.until(lambda told: True)["tip"])
+    return robot.until(lambda told: np.linalg.norm(told["tip"] - first) > 0.03)
+
+
+def test_killing_the_controller_stops_the_robot_above(both):
+    robot, controller = both
+    assert not moves(robot)["refusal"]
+    controller.kill()
+    stopped = robot.until(lambda told: told["refusal"])
+    assert "no command" in stopped["refusal"]
+    above = robot.until(lambda told: told["tip"][2] > stopped["tip"][2] + 0.09)
+    assert np.linalg.norm(np.subtract(above["tip"][:2], stopped["tip"][:2])) < 0.01
+
+
+def test_killing_the_robot_stops_the_controller(both):
+    robot, controller = both
+    assert not moves(robot)["refusal"]
+    assert controller.until(lambda told: True)["kind"] == "move"
+    robot.kill()
+    stopped = controller.until(lambda told: told["kind"] != "move")
+    assert (stopped["kind"], "measured" in stopped["reason"]) == ("stop", True)
+
+
+def test_messages_are_ros_2s_to_the_byte():
+    store = get_typestore(Stores.ROS2_JAZZY)
+    plain = store.types
+    stamp = {"sec": 7, "nanosec": 8}
+    theirs = plain["geometry_msgs/msg/PoseStamped"](
+        plain["std_msgs/msg/Header"](plain["builtin_interfaces/msg/Time"](7, 8), "base_link"),
+        plain["geometry_msgs/msg/Pose"](
+            plain["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
+            plain["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+        ),
+    )
+
+    def own(name, **fields):
+        return message_type(name)(**fields)
+
+    ours = own(
+        "geometry_msgs/msg/PoseStamped",
+        header=own(
+            "std_msgs/msg/Header", stamp=own("builtin_interfaces/msg/Time", **stamp),
+            frame_id="base_link",
+        ),
+        pose=own(
+            "geometry_msgs/msg/Pose",
+            position=own("geometry_msgs/msg/Point", x=1.0, y=2.0, z=3.0),
+            orientation=own("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+    )  # fmt: skip
+    kind = "geometry_msgs/msg/PoseStamped"
+    # Four bytes say how it is encoded.
+    assert ours.serialize()[4:] == bytes(store.serialize_cdr(theirs, kind))[4:]
+    name = message_type("sensor_msgs/msg/Image").__idl__.idl_transformed_typename
+    assert name.replace(".", "::") == "sensor_msgs::msg::dds_::Image_"
