@@ -63,19 +63,15 @@ $(VENV)/.docs-ready: $(READY) docs/requirements.txt
 	touch $@
 
 # About twenty minutes on two cores; `bench-full` adds the paper's heap sets and training runs.
-bench: $(VENV)/.bench-ready
+bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 # Half an hour on two cores: many actions, and processes killed at random times.
 soak: $(READY)
 	$(BIN)/python -m soak
 
-bench-full: $(VENV)/.bench-ready
+bench-full: $(READY)
 	$(BIN)/python -m benchmarks --full
-
-$(VENV)/.bench-ready: $(READY)
-	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --group bench
-	touch $@
 
 $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("mechsearch needs Python 3.11 or newer, not " + sys.version.split()[0]) if sys.version_info < (3, 11) else 0'

@@ -27,7 +27,7 @@ class PeerCamera:
     ) -> None:
         """Set up the view of one heap."""
         self._world, self._target, self._camera = world, target, camera
-        self._alone = PeerWorld([models[target]], world.config, pusher=False)
+        self._alone = PeerWorld([models[target]], world.task, pusher=False)
         self._view, self._projection = _matrices(camera)
         slopes = camera.directions() @ camera.pose[:3, :3].T
         self._table = (-camera.pose[2, 3] / slopes[..., 2]).astype(np.float32)
@@ -54,8 +54,8 @@ class PeerCamera:
 
     def occlusion(self, ids: NDArray[np.int32], amodal: NDArray[np.bool_]) -> float:
         """Return the share of the target that others hide; the pusher's pixels do not count."""
-        if self._world.pusher is not None:
-            amodal = amodal & (ids != self._world.pusher)
+        if self._world.effector >= 0:
+            amodal = amodal & (ids != self._world.effector)
         whole = int(amodal.sum())
         seen = int((amodal & (ids == self._world.bodies[self._target])).sum())
         return 1.0 - seen / whole if whole else 1.0

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.peer import RATE, PeerWorld
+from benchmarks.peer import PeerWorld
 from benchmarks.peer_camera import PeerCamera
 from mechsearch.camera import preset
 from mechsearch.geometry import random_quaternion, rotation_from_quaternion
 from mechsearch.heaps.generate import GenerateConfig
 from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.sim.bullet import RATE
 from mechsearch.sim.world import REST_LIMIT
 from mechsearch.types import Floats
 
@@ -27,7 +28,7 @@ def attempt(
     models = [list(objects.models.values())[i] for i in chosen]
     with PeerWorld(models, pusher=False) as world:
         poses = _drop(world, models, (x, y, radius), config.height, rng)
-        if poses is None or world.config.workspace.table_half < np.abs(poses[:, :2]).max():
+        if poses is None or world.workspace.table_half < np.abs(poses[:, :2]).max():
             return False
         world.reset(poses)
         world.step(RATE)
@@ -55,10 +56,10 @@ def _drop(
         world.place(i, np.array([x + offset[0], y + offset[1], height, *quaternion]))
         world.step(round(_PAUSE * RATE))
     world.step(round(_FALL * RATE))
-    world.remove(walls)
+    world.remove_walls(walls)
     for _ in range(int(_LONGEST / _LOOK)):
         world.step(round(_LOOK * RATE))
-        if (np.abs(world.speeds) < _SPEED).all():
+        if (np.abs(world.velocities) < _SPEED).all():
             return world.poses
     return None
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from benchmarks.settings import Settings
 from mechsearch.env.heap_env import HeapEnv, HeapEnvConfig
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.sim.scene import PhysicsConfig
+from mechsearch.sim.world import World
 from mechsearch.teachers import PAPER_TEACHERS, Teacher, make_teacher
 from mechsearch.types import Floats, select
 
@@ -74,11 +76,12 @@ def _overlaps(env: HeapEnv, number: int) -> tuple[Floats, Floats]:
         obs, _ = env.reset(options={"heap": i, "fixed_start": True})
         teacher = teachers[i % 3]
         teacher.reset(np.random.default_rng(i))
-        env.world.step(round(0.5 / env.config.physics.time_step))
-        resting.append(env.world.penetrations())
+        world = cast(World, env.world)
+        world.step(round(0.5 / env.config.physics.time_step))
+        resting.append(world.penetrations())
         over = False
         while not over:
             obs, _, terminated, truncated, _ = env.step(teacher.act(select(obs, teacher.keys)))
             over = terminated or truncated
-            pushed.append(env.world.penetrations())
+            pushed.append(world.penetrations())
     return np.concatenate(pushed), np.concatenate(resting)

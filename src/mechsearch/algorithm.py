@@ -205,6 +205,11 @@ class RunConfig(Generic[A]):
 
     def __post_init__(self) -> None:
         at_least(0, self, "seed")
+        if self.task.engine != TaskConfig.engine:
+            raise MechSearchError(
+                f"engine is {self.task.engine!r}; runs learn in {TaskConfig.engine}, and "
+                f"`mechsearch evaluate RUN --engine {self.task.engine}` scores them in another"
+            )
         self.algorithm.check(self.task)
 
     def changed(self, **options: Any) -> Self:

@@ -78,6 +78,7 @@ EXTRAS = {
     "report": ("Matplotlib", "matplotlib"), "meshes": ("CoACD", "coacd"),
     "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
     "export": ("ONNX's writer", "onnxscript"), "robot": ("ONNX Runtime and rosbags", "onnxruntime"),
+    "bullet": ("PyBullet", "pybullet"),
 }  # fmt: skip
 """What each optional part of an installation brings: its name, and a module of it."""
 

@@ -178,6 +178,10 @@ def test_episodes_of_another_task_are_no_submission():
     harder = recorded(max_actions=5)
     with pytest.raises(MechSearchError, match="acted in another task: max_actions 50 -> 5"):
         submissions.submission_of(harder, "uncover", "tiny", TOLD, "overhead")
+    elsewhere = {**harder.header["env"], "max_actions": 50, "engine": "bullet"}
+    other = replace(harder, header={**harder.header, "env": elsewhere})
+    with pytest.raises(MechSearchError, match="another task: engine mujoco -> bullet"):
+        submissions.submission_of(other, "uncover", "tiny", TOLD, "overhead")
     with pytest.raises(MechSearchError, match="another task than retrieve"):
         submissions.submission_of(harder, "retrieve", "tiny", TOLD, "overhead")
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pybullet", reason="the peer is not installed: `make bench` does it")
+pytest.importorskip("pybullet", reason="the extra bullet is not installed")
 
 from benchmarks.peer import PeerWorld
 from benchmarks.peer_camera import PeerCamera

@@ -24,6 +24,7 @@ _NEEDED_BY = {
     "report": "`mechsearch report`",
     "meshes": "an object made from a mesh file, such as those of YCB,",
     "ray": "work on many machines",
+    "bullet": "`mechsearch evaluate --engine bullet`",
     "video": "an MP4 film (a GIF does not)",
     "export": "`mechsearch export`",
     "robot": "an exported policy, or a recorded bag,",

@@ -69,7 +69,8 @@ class Evaluate(OfObjects, Spread):
     """Score policies on a heap set and record every episode.
 
     Each policy acts in the task of the run that it comes from, or else in the default one through
-    the heap set's camera; what is said of the task is changed for all of them.
+    the heap set's camera; what is said of the task is changed for all of them, such as the physics
+    by --engine bullet.
 
     Attributes:
         policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, look-ahead

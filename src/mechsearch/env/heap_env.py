@@ -16,11 +16,11 @@ from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.sim import World, pusher_model
+from mechsearch.sim import HeapWorld, heap_world, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError
 
 
-class HeapEnv(SceneEnv[World]):
+class HeapEnv(SceneEnv[HeapWorld]):
     """Episodes over a list of heaps.
 
     `reset(options=...)` takes `heap`, the index of the heap, and `fixed_start`, whether the end
@@ -70,6 +70,7 @@ class HeapEnv(SceneEnv[World]):
 
         Raises:
             MechSearchError: If an option is unknown or no good.
+            RuntimeError: If the heap does not come to rest in the task's engine.
         """
         super().reset(seed=seed)
         scene = self._scene
@@ -127,9 +128,9 @@ class HeapEnv(SceneEnv[World]):
         self._over = bool(over)
         return self._scene.observe(self._actions)
 
-    def _world_of(self, models: Sequence[ObjectModel]) -> World:
+    def _world_of(self, models: Sequence[ObjectModel]) -> HeapWorld:
         config = self.config
-        return World(models, config.workspace, config.pusher, config=config.physics)
+        return heap_world(config.engine, models, config.workspace, config.pusher, config.physics)
 
     def _result(
         self,

@@ -18,7 +18,7 @@ from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
 from mechsearch.render.renderer import Frame, Renderer
-from mechsearch.sim import World
+from mechsearch.sim import HeapWorld
 from mechsearch.types import (
     ACTION_LENGTH,
     Array,
@@ -38,7 +38,7 @@ _TRAY_AWAY = 0.2
 
 _SAVED = ("heap", "world", "poses", "present", "occlusion")
 
-W = TypeVar("W", bound=World)
+W = TypeVar("W", bound=HeapWorld)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class HeapScene(Generic[W]):
         return bool(self.present[self.heap.target])
 
     def reset(self, rng: np.random.Generator, options: Mapping[str, Any] | None) -> int:
-        """Put a heap on the table as it was made; return its index.
+        """Put a heap on the table as it was made and came to rest; return its index.
 
         Args:
             rng: Draws the heap, and where the end effector starts.
@@ -172,6 +172,7 @@ class HeapScene(Generic[W]):
 
         Raises:
             MechSearchError: If an option is no good, or there is no room for a start.
+            RuntimeError: If the heap does not come to rest in the task's engine.
         """
         meant = start_options(options, len(self.heaps))
         index = int(rng.integers(len(self.heaps)) if meant["heap"] is None else meant["heap"])
@@ -179,7 +180,8 @@ class HeapScene(Generic[W]):
         heap = self.heap
         if meant["fixed_start"]:
             rng = np.random.default_rng([heap.seed, 1])
-        self.world.reset(heap.poses, self._sample_start(rng))
+        poses = self.world.settled(heap.poses)
+        self.world.reset(poses, self._sample_start(rng, poses))
         perfect = self._config.sees.is_perfect
         self._begin(0 if perfect or meant["fixed_start"] else int(rng.integers(2**31)))
         self.poses = self.world.poses
@@ -355,15 +357,20 @@ class HeapScene(Generic[W]):
         seed = (self.heap.seed, 3, episode)
         self._sensing = self._config.sees.episode(seed, len(self.heap.objects))
 
-    def _sample_start(self, rng: np.random.Generator) -> Floats:
-        """Return a contact-free position, uniform over the workspace, away from the target."""
+    def _sample_start(self, rng: np.random.Generator, poses: Floats) -> Floats:
+        """Return a contact-free position, uniform over the workspace, away from the target.
+
+        Args:
+            rng: Draws it.
+            poses: Of the objects at rest (N, 7).
+        """
         heap = self.heap
         centre = heap.poses[heap.target, :3]
         for _ in range(1000):
             position = self._config.workspace.sample(rng)
             if np.linalg.norm(position - centre) < self._config.start_distance:
                 continue
-            self.world.reset(heap.poses, position)
+            self.world.reset(poses, position)
             if self.world.pusher_is_free():
                 return position
         raise MechSearchError(

@@ -11,7 +11,7 @@ from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
 from mechsearch.observe.sensor import Sensor, sensor_named
-from mechsearch.sim import PhysicsConfig, Pusher, Workspace, gripper_named
+from mechsearch.sim import ENGINES, PhysicsConfig, Pusher, Workspace, gripper_named
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 
 _LEAST = {
@@ -25,6 +25,11 @@ _ABOVE_0 = (
     "workspace.table_half", "pusher.radius", "pusher.mass", "pusher.stiffness", "pusher.force",
 )  # fmt: skip
 _SHOWN = ("keys", "privileged", "max_clutter")
+_OF_MUJOCO = (
+    "physics.solver_iterations", "physics.contact_time", "physics.contact_impedance",
+    "physics.sleep_speed", "physics.clearance", "physics.still_speed", "physics.still_spin",
+    "physics.stops_when_still", "pusher.stiffness",
+)  # fmt: skip
 _MAY_BE_INFINITE = ("physics.clearance", "physics.deep_penetration", "physics.explosion_speed")
 
 
@@ -43,6 +48,8 @@ class TaskConfig:
         physics: Numerical choices.
         workspace: Table and bounds.
         pusher: The end effector.
+        engine: What computes the physics: "mujoco", or "bullet" for pushes alone, which takes of
+            `physics` the times of an action and what counts as a failure.
     """
 
     camera: str = "overhead"
@@ -55,6 +62,7 @@ class TaskConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     workspace: Workspace = field(default_factory=Workspace)
     pusher: Pusher = field(default_factory=Pusher)
+    engine: str = ENGINES[0]
 
     def __post_init__(self) -> None:
         check_kinds(self)
@@ -76,6 +84,14 @@ class TaskConfig:
             ("physics.contact_impedance", shares == [True] * 2, "two shares between 0 and 1"),
             ("workspace.floor", workspace.floor <= 0, "at most 0, the table's height"),
         ]
+        if self.engine not in ENGINES:
+            raise MechSearchError(
+                f"unknown engine {self.engine!r}; choose one of {', '.join(ENGINES)}"
+            )
+        if self.engine != ENGINES[0]:
+            for name in _OF_MUJOCO:
+                usual = attrgetter(name)(TaskConfig())
+                rules.append((name, at(name) == usual, f"{usual}, {self.engine} has its own"))
         for name, holds, expected in rules:
             if not holds or (at(name) in (inf, -inf) and name not in _MAY_BE_INFINITE):
                 raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
@@ -169,6 +185,10 @@ class RetrievalTask(TaskConfig):
         for name, least in (("max_grasps", 1), ("max_removals", 0)):
             if getattr(self, name) < least:
                 raise MechSearchError(f"{name} is {getattr(self, name)}; expected at least {least}")
+        if self.engine != ENGINES[0]:
+            raise MechSearchError(
+                f"engine is {self.engine!r}; grippers are simulated by {ENGINES[0]} alone"
+            )
         if self.pusher != Pusher():
             raise MechSearchError(
                 f"a pusher of its own, {self.pusher}; in retrieval the first of the grippers pushes"

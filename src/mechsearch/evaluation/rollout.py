@@ -44,7 +44,7 @@ from mechsearch.files import differing_fields, fingerprint
 from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
-from mechsearch.sim import ENGINE_VERSION
+from mechsearch.sim import engine_version
 from mechsearch.types import (
     RETRIEVAL_KEYS,
     Array,
@@ -344,7 +344,7 @@ _NO_INPUTS = (
 )
 """What of a header is of the program, or follows from the rest."""
 
-_LATER = {"sensor": TaskConfig.sensor}
+_LATER = {"sensor": TaskConfig.sensor, "engine": TaskConfig.engine}
 """What of the task earlier versions had not, and how it was then."""
 
 
@@ -469,7 +469,7 @@ class _Rollouts:
             "split": plan.split,
             "env": asdict(environment_config(self.task, self.policy.keys)),
             "task_differs": differing(self.own_task, self.task),
-            "engine": ENGINE_VERSION,
+            "engine": engine_version(self.task.engine),
             "version": version("mechsearch"),
             "fingerprint": fingerprint(),
         }

@@ -29,6 +29,7 @@ SCORES_NOTE = (
 )
 _MADE = ("policy", "seeds", "trained for", "tried besides", "heaps", "left out", "observes")
 _MADE_WIDTHS = (20, 13, 14, 15, 9, 11, 40)
+_ENGINES = {"mujoco": "MuJoCo", "bullet": "PyBullet"}
 _OPENINGS = {"better": "beats", "undecided": "shows no clear difference from", "worse": "loses to"}
 _RANKED_IN = {
     "reward": "In reward",
@@ -268,7 +269,7 @@ def made_table(condition: Condition) -> Table:
         "heap set": first.get("heap_set"),
         "objects": Path(str(first.get("object_set", ""))).name,
         "mechsearch": first.get("version"),
-        "MuJoCo": first.get("engine"),
+        _ENGINES[first.get("env", {}).get("engine", "mujoco")]: first.get("engine"),
     }
     said = "; ".join(f"{key} {value}" for key, value in facts.items() if value)
     caption = f"{condition.heaps.capitalize()}: {said}"

@@ -4,4 +4,15 @@ from mechsearch.sim.gripper import AnyGripper, Gripper, SuctionCup, gripper_name
 from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import LiftFrame, LiftWorld, Perturbation, perturbed
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, pusher_model
-from mechsearch.sim.world import AWAKE, ENGINE_VERSION, REST_LIMIT, World, drift, settle
+from mechsearch.sim.world import (
+    AWAKE,
+    ENGINE_VERSION,
+    ENGINES,
+    REST_LIMIT,
+    HeapWorld,
+    World,
+    drift,
+    engine_version,
+    heap_world,
+    settle,
+)

@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from importlib import import_module
+from importlib.metadata import version
 from math import isfinite
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -11,9 +14,12 @@ from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
-from mechsearch.types import Array, Floats
+from mechsearch.types import Array, Floats, check_extra
 
 ENGINE_VERSION = str(mujoco.__version__)
+ENGINES = ("mujoco", "bullet")
+"""What may compute the physics of pushes; all else, such as grippers, is MuJoCo's."""
+
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _AWAY = np.array([0.0, 0.0, 5.0])
 _SUNK = -0.01
@@ -30,6 +36,67 @@ _LOOK = 0.25
 
 AWAKE = PhysicsConfig(sleep_speed=0.0)
 """Physics in which nothing sleeps: rest is measured, not assumed."""
+
+
+class HeapWorld(Protocol):
+    """What an environment needs of physics, whichever engine computes it."""
+
+    config: PhysicsConfig
+    """Numerical choices; the steps are the engine's own."""
+
+    workspace: Workspace
+    """Table and bounds."""
+
+    @property
+    def poses(self) -> Floats:
+        """Poses (N, 7) of all objects."""
+
+    @property
+    def pusher_position(self) -> Floats:
+        """Position (3,) of the fingertip [m]."""
+
+    def settled(self, poses: Array) -> Floats:
+        """Return where a heap's objects, as its file has them (N, 7), come to rest.
+
+        Raises:
+            RuntimeError: If they do not in this engine.
+        """
+
+    def reset(self, poses: Array, pusher_position: Array | None = None) -> None:
+        """Put all objects at rest at `poses` (N, 7), and the pusher where it is told."""
+
+    def remove(self, index: int) -> None:
+        """Take one object out of everything's way, as it is."""
+
+    def pusher_is_free(self) -> bool:
+        """Return whether nothing touches the pusher where it stands."""
+
+    def step(self, steps: int) -> None:
+        """Advance by a number of time steps."""
+
+    def push(self, target: Array) -> bool:
+        """Move the fingertip towards `target` (3,) [m]: one action's worth of simulated time.
+
+        Returns:
+            Whether anything was simulated; if not, every object lies exactly where it lay.
+        """
+
+    def failure(self) -> str | None:
+        """Return the name of a simulator failure, or None while physics can be trusted."""
+
+    def snapshot(self) -> Floats:
+        """Return all that the next step depends on.
+
+        Raises:
+            MechSearchError: If the engine cannot.
+        """
+
+    def restore(self, state: Array) -> None:
+        """Return to a snapshot of this world.
+
+        Raises:
+            MechSearchError: If the engine cannot.
+        """
 
 
 class World:
@@ -95,6 +162,10 @@ class World:
     def pusher_force(self) -> Floats:
         """Force (3,) [N] with which the pusher is driven: at rest, against what blocks it."""
         return np.array(self._data.actuator_force[:3])
+
+    def settled(self, poses: Array) -> Floats:
+        """Return `poses` (N, 7): heaps have come to rest in this engine when they are made."""
+        return np.asarray(poses, np.float64)
 
     def reset(self, poses: Array, pusher_position: Array | None = None) -> None:
         """Put all objects at rest at `poses` (N, 7), and the pusher where it is told."""
@@ -235,12 +306,9 @@ class World:
             return "solver warning"
         # No axis is faster than the whole: most of the time there is nothing to look at.
         if poses[:, 2].min(initial=0.0) < _SUNK or 2.0 * highest > config.explosion_speed:
-            fast = np.linalg.norm(self.velocities[:, :3], axis=1) > config.explosion_speed
-            on_table = np.abs(poses[:, :2]).max(axis=1) < self.workspace.table_half - 0.05
-            if (on_table & (poses[:, 2] < _SUNK)).any():
-                return "tunnelling"
-            if (on_table & fast).any():
-                return "explosion"
+            found = runaway(poses, self.velocities, self.workspace, config)
+            if found is not None:
+                return found
         overlap = -float(data.contact.dist[: data.ncon].min(initial=0.0))
         return "deep penetration" if overlap > config.deep_penetration else None
 
@@ -256,7 +324,58 @@ class World:
         self._warnings[:] = 1
 
 
-def settle(world: World, seconds: float = 4.0, limit: float = REST_LIMIT) -> bool:
+def heap_world(
+    engine: str,
+    models: Sequence[ObjectModel],
+    workspace: Workspace,
+    pusher: Pusher,
+    config: PhysicsConfig,
+) -> HeapWorld:
+    """Return objects on a table and a pusher, in an engine of `ENGINES`.
+
+    Raises:
+        MechSearchError: If the engine is not installed.
+    """
+    if engine == "mujoco":
+        return World(models, workspace, pusher, config=config)
+    _ = engine_version(engine)
+    made: HeapWorld = import_module(f"mechsearch.sim.{engine}").BulletWorld(
+        models, workspace, pusher, config
+    )
+    return made
+
+
+def engine_version(engine: str) -> str:
+    """Return the version of an engine of `ENGINES`, on which the bits depend.
+
+    Raises:
+        MechSearchError: If it is not installed.
+    """
+    if engine == "mujoco":
+        return ENGINE_VERSION
+    check_extra(f"the engine {engine} (for Python 3.11: there are no wheels for later)", engine)
+    return version("pybullet")
+
+
+def runaway(
+    poses: Floats, velocities: Floats, workspace: Workspace, config: PhysicsConfig
+) -> str | None:
+    """Return "tunnelling" or "explosion" if an object on the table does that, else None.
+
+    Args:
+        poses: Of all objects (N, 7).
+        velocities: Linear and angular (N, 6) [m/s, rad/s].
+        workspace: Table.
+        config: Says what is too fast.
+    """
+    fast = np.linalg.norm(velocities[:, :3], axis=1) > config.explosion_speed
+    on_table = np.abs(poses[:, :2]).max(axis=1) < workspace.table_half - 0.05
+    if (on_table & (poses[:, 2] < _SUNK)).any():
+        return "tunnelling"
+    return "explosion" if (on_table & fast).any() else None
+
+
+def settle(world: HeapWorld, seconds: float = 4.0, limit: float = REST_LIMIT) -> bool:
     """Step until no object's centre moves faster than `limit` [m/s], or give up.
 
     What counts is the way from one look to the next: contacts may tremble in place.
