@@ -11,7 +11,7 @@ PYTHONS = $(shell for version in 3.11 3.12 3.13 3.14; do \
 	for python in python$$version $(HOME)/.pyenv/versions/$$version.*/bin/python$$version; do \
 		$$python --version >/dev/null 2>&1 && command -v $$python && break; done; done; true)
 
-.PHONY: demo test check unit test-all test-exports test-release docs bench bench-full soak lock clean
+.PHONY: demo test check unit test-all test-exports test-release test-browser docs bench bench-full soak lock clean
 
 demo: $(READY)
 	$(BIN)/mechsearch demo --out demo
@@ -52,6 +52,14 @@ test-release: $(READY)
 	$(BIN)/hatchling build
 	tests/release.sh $(BIN)/uv requirements.txt dist $(PYTHONS)
 
+# The pages of `mechsearch show` and `view` in a real browser without a screen.
+test-browser: $(VENV)/.browser-ready
+	$(BIN)/python -m pytest tests/browser
+
+$(VENV)/.browser-ready: $(READY) tests/browser/requirements.txt
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r tests/browser/requirements.txt
+	touch $@
+
 # A site in docs/_build/html that can be opened as a file; it asks nobody outside.
 docs: $(VENV)/.docs-ready
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet \
@@ -87,6 +95,8 @@ lock: $(READY)
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --python-version 3.11 \
 		--group docs --constraints requirements.txt --output-file docs/requirements.txt \
 		$$(sed -n 's/^\([a-z0-9_.-]*\)==.*/--no-emit-package \1/p' requirements.txt)
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --python-version 3.11 \
+		--group browser --output-file tests/browser/requirements.txt
 
 clean:
 	rm -rf $(VENV) demo dist docs/_build

@@ -2,6 +2,7 @@
 
 import importlib.util
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 from reprlib import Repr
@@ -67,6 +68,28 @@ class Outcome(StrEnum):
     TWO_OBJECTS = "two objects"
     FAILURE = "failure"
     NO_SEAL = "no seal"
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """What a policy weighed before it decided: for people to see, nothing depends on it.
+
+    A policy that has it offers the last as its attribute `weighed`, None where it went on with what
+    it had decided before.
+
+    Attributes:
+        kinds: Of each candidate (n,): `PUSH`, `GRASP` or `REMOVE`.
+        ways: Of each (n,): the waypoints (K, 3) [m] of a push, or a grasp's pose (7,).
+        values: What each promises (n,), the more the better.
+        chosen: Index of what was decided.
+        measure: What the values are, in words.
+    """
+
+    kinds: tuple[int, ...]
+    ways: tuple[Floats, ...]
+    values: Floats
+    chosen: int
+    measure: str
 
 
 class MechSearchError(Exception):

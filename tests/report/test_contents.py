@@ -22,6 +22,7 @@ from mechsearch.report.document import (
     write_pdf,
 )
 from mechsearch.types import MechSearchError
+from tests.pictures.test_page import read
 
 Models = Mapping[str, ObjectModel]
 
@@ -39,12 +40,29 @@ def test_page_and_print_have_the_same_sections(report: Document) -> None:
         "Actions used against clutter moved",
         "Scores",
         "How episodes end",
+        "Episodes",
         "How this was made",
     ]
     text = to_html(report)
-    assert text.count("<h2") == 7
+    assert text.count("<h2") == 8
     assert text.count("<img") == 6 + len(_pictures(report, bytes))
     assert "All &amp; everything" in text
+
+
+def test_the_worst_median_and_best_episode_have_a_page_beside_the_report(
+    sweep: Path, report: Document
+) -> None:
+    (page,) = report.pages.values()
+    method = read_experiment(sweep).conditions["single"].policies["method"][0]
+    rewards = sorted(method.values["reward"])
+    (*shown,) = read(page)["episodes"]
+    assert [one["name"] for one in shown] == ["worst", "median", "best"]
+    ends = [one["reward"][-1] for one in shown]
+    assert ends == pytest.approx(
+        [rewards[0], rewards[(len(rewards) - 1) // 2], rewards[-1]], abs=1e-3
+    )
+    link = '<a href="my%20report/episodes-single.html">The worst, median and best episode of method'
+    assert link in to_html(report, "my report")
 
 
 def _pictures(report: Document, kind: type) -> list[Picture]:

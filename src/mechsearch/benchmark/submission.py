@@ -493,6 +493,45 @@ def verified(
     )
 
 
+def is_submission(path: Path) -> bool:
+    """Return whether a file (.npz) is a submission, and no evaluation.
+
+    Raises:
+        MechSearchError: If it is missing, or damaged.
+    """
+    return "scores" in read_arrays(path, "evaluation")
+
+
+def played(
+    submission: Submission, heap_seed: int, folder: Path = Path(HEAPS_FOLDER), objects: str = ""
+) -> Evaluation:
+    """Return the episode on one heap, played again, for pictures; its scores are not checked.
+
+    Args:
+        submission: What was done.
+        heap_seed: Seed of the heap.
+        folder: Where the heap sets are.
+        objects: Object set; empty takes the one that the heaps name.
+
+    Raises:
+        MechSearchError: If heaps or objects are missing or foreign, or the actions fail.
+    """
+    card = submission.card
+    file, heap_set = open_split(card.split, folder, objects)
+    config = _config(card.task, heap_set.camera, card.image_size, card.grippers)
+    claims = [claim for claim in submission.claims if claim.heap_seed == heap_seed]
+    again = play_all(card.name, claims, config, file, objects, idle=True)
+    (record,) = again
+    if isinstance(record, str):
+        raise MechSearchError(f"{card.name} on heap {heap_seed}: {record}")
+    header = {
+        "name": card.name, "policy": card.name, "keys": list(card.keys), "seed": card.seed,
+        "object_set": objects or heap_set.objects,
+        "object_hashes": heap_set.manifest["object_hashes"], "env": asdict(config),
+    }  # fmt: skip
+    return Evaluation(header, (record,))
+
+
 def _check_heaps(submission: Submission, heap_set: HeapSet) -> None:
     split = BENCHMARK_SPLITS[submission.card.split]
     chosen = [heap_set.heaps[i] for i in heap_set.choose(split.part, split.limit)]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from mechsearch.benchmark.submission import HEAPS_FOLDER, is_submission, load_submission, played
 from mechsearch.cli.command import (
     PICTURES,
     Mapper,
@@ -25,7 +26,7 @@ from mechsearch.evaluation.episodes import (
     EpisodeRecord,
     Evaluation,
     check_summary,
-    in_words,
+    in_brief,
     load_episodes,
     merge_summary,
     save_episodes,
@@ -39,8 +40,9 @@ from mechsearch.evaluation.rollout import (
     other_inputs,
     planned_header,
     replay_all,
+    weighed_again,
 )
-from mechsearch.files import alone, check_place, crossed, fingerprint, write_whole
+from mechsearch.files import alone, check_place, crossed, fingerprint, write_text, write_whole
 from mechsearch.findings.experiment import distinct_names, ordered
 from mechsearch.findings.scores import ranked_heaps
 from mechsearch.findings.tables import EPISODES_NOTE, evaluation_tables, to_text
@@ -53,6 +55,7 @@ from mechsearch.pictures.film import (
     start_and_end,
     write_film,
 )
+from mechsearch.pictures.page import PAGES, Shown, episode_page
 from mechsearch.pictures.replay import replayed
 from mechsearch.types import MechSearchError, check_extra
 
@@ -244,17 +247,20 @@ class ShowEpisode(OfObjects):
     Grasps are carried out again to show them, phase by phase.
 
     Attributes:
-        episodes: File that `mechsearch evaluate` wrote (.npz).
-        out: .png, .jpg or .webp for a picture, .gif or .mp4 for a film.
+        episodes: File that `mechsearch evaluate` wrote (.npz), or a submission to the benchmark.
+        out: .png, .jpg or .webp for a picture, .gif or .mp4 for a film, .html for a page in three
+            dimensions, with what the policy weighed.
         which: "worst", "median" or "best" by reward, or a heap's seed.
         frames: Of a picture: 2 shows start and end, more make a filmstrip.
         camera: "overhead" or "tilted"; by default the first for pushes alone, and for retrieval
             one from the side that shows what is lifted.
         size: Side of each frame [px].
         rate: Frames a second in a film, one for each push and eight for a second of a grasp.
+        policy: Who acted, to be asked again what it weighed (.html); one that is shipped is found.
+        heaps: Of a submission, which is played again: folder of the heap sets.
     """
 
-    writes = (("out", (*PICTURES, *FORMATS)),)
+    writes = (("out", (*PICTURES, *FORMATS, *PAGES)),)
 
     episodes: Annotated[Path, tyro.conf.Positional]
     out: Path = Path("episode.png")
@@ -263,41 +269,57 @@ class ShowEpisode(OfObjects):
     camera: str = ""
     size: int = 360
     rate: float = 6.0
+    policy: str = ""
+    heaps: Path = Path(HEAPS_FOLDER)
 
     def run(self) -> None:
         """Draw and write the episode."""
         config = FilmConfig(self.camera, self.size)
-        moving = self.out.suffix.lower() in FORMATS
-        if moving:
+        suffix = self.out.suffix.lower()
+        moving = suffix in (*FORMATS, *PAGES)
+        if suffix in FORMATS:
             check_film(self.out, self.rate)
-        evaluation = load_episodes(self.episodes)
-        record = self._episode(evaluation)
-        models = models_of(evaluation, self.objects)
-        film = film_of(evaluation.header, record, models, config, moving, replayed)
-        if moving:
+        header, record = self._episode()
+        models = models_of(Evaluation(header, ()), self.objects)
+        # Start and end alone show the path instead.
+        robot = moving or self.frames != 2
+        film = film_of(header, record, models, config, robot, replayed)
+        title, words = f"{record.policy} on heap {record.heap_seed}", in_brief(record)
+        if suffix in PAGES:
+            shown = Shown(film, words, weighed_again(header, record, models, self.policy))
+            write_text(self.out, episode_page(title, {self.which: shown}, self.rate))
+        elif moving:
             with bars() as progress:
                 write_film(self.out, film, self.rate, progress)
         else:
             picture = start_and_end(film) if self.frames == 2 else filmstrip(film, self.frames)
             write_whole(self.out, picture.save)
-        say(
-            f"{record.policy} on heap {record.heap_seed}: {in_words(record)} "
-            f"({record.end}), reward {record.rewards.sum():.1f}"
-        )
+        say(f"{title}: {words}")
         wrote(self.out)
 
-    def _episode(self, evaluation: Evaluation) -> EpisodeRecord:
-        rewards = {record.heap_seed: float(record.rewards.sum()) for record in evaluation.episodes}
+    def _episode(self) -> tuple[Mapping[str, Any], EpisodeRecord]:
+        """Return the header and the episode that is asked for."""
+        if is_submission(self.episodes):
+            submission = load_submission(self.episodes)
+            rewards = {claim.heap_seed: claim.scores["reward"] for claim in submission.claims}
+            evaluation = played(submission, self._heap(rewards), self.heaps, self.objects)
+            return evaluation.header, evaluation.episodes[0]
+        evaluation = load_episodes(self.episodes)
+        records = {record.heap_seed: record for record in evaluation.episodes}
+        rewards = {seed: float(record.rewards.sum()) for seed, record in records.items()}
+        return evaluation.header, records[self._heap(rewards)]
+
+    def _heap(self, rewards: Mapping[int, float]) -> int:
+        """Return the heap that is asked for, of those with rewards."""
         ranked = ranked_heaps(rewards, rewards.values())
         seed = str(ranked.get(self.which, self.which))
-        found = [record for record in evaluation.episodes if str(record.heap_seed) == seed]
-        if not found:
-            some = ", ".join(str(record.heap_seed) for record in evaluation.episodes[:5])
+        if seed not in map(str, rewards):
+            some = ", ".join(map(str, [*rewards][:5]))
             raise MechSearchError(
                 f"no episode {self.which!r} in {self.episodes}; choose one of "
                 f"{', '.join(ranked)}, or a heap's seed such as {some}"
             )
-        return found[0]
+        return int(seed)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mechsearch.files import check_place, write_text
 from mechsearch.findings.analysis import analyse
 from mechsearch.findings.experiment import Experiment, read_experiment
 from mechsearch.pictures.film import Models
-from mechsearch.pictures.replay import replayed
+from mechsearch.pictures.replay import replayed, weighed_again
 from mechsearch.report.contents import document
 from mechsearch.report.document import to_html, write_pdf
 from mechsearch.report.figures import draw_summary, to_svg
@@ -26,7 +26,8 @@ class Report(Command):
     """Write one HTML page from recorded episodes and run directories, or plot a summary.
 
     Of a folder that `mechsearch sweep` wrote: its claims, figures, scores and failures, as a page,
-    as a PDF, and as SVG and CSV files in a folder beside them.
+    as a PDF, and as SVG and CSV files in a folder beside them. Where episodes are drawn the folder
+    also has a page in three dimensions of the worst, median and best one.
 
     Attributes:
         sources: A sweep's folder; or evaluations (.npz), run directories, and folders of either; or
@@ -62,13 +63,15 @@ class Report(Command):
         models = self._models(found.experiment) if self.pictures else None
         title = self.title or _title(found.experiment)
         with bars() as progress:
-            text = document(found, title, models, replayed, progress)
-        write_text(out, to_html(text))
+            text = document(found, title, models, replayed, weighed_again, progress)
+        beside = out.with_suffix("") if planned or text.pages else None
+        for name, page in text.pages.items():
+            write_text(out.with_suffix("") / f"{name}.html", page)
+        write_text(out, to_html(text, out.stem))
         pdf = self.pdf or (out.with_suffix(".pdf") if planned else None)
         if pdf:
             write_pdf(pdf, text)
-        beside = out.with_suffix("") if planned else None
-        if beside:
+        if beside and planned:
             for name, svg in text.drawings.items():
                 write_text(beside / f"{name}.svg", svg)
             for name, rows in found.numbers.items():

@@ -133,7 +133,7 @@ class EpisodeRecord:
         clutter_moved: Mean displacement of the other objects in each action (T,) [m].
         target_moved: Displacement of the target in each action (T,) [m].
         end: "uncovered", "action limit", "lost" or "failure: reason"; in retrieval "retrieved" or
-            "budget" in place of the first two.
+            "budget" in place of the first two. It is empty while the episode goes on.
         action_limit: Number of actions after which the episode would have been cut; in retrieval of
             pushes, at most.
         grasp: What a gripper could do with the target; None where it was not measured.
@@ -423,6 +423,11 @@ def in_words(record: EpisodeRecord) -> str:
             said = ", ".join(f"{n} {outcome}" if n > 1 else outcome for outcome, n in runs)
             words.append(number if kind == PUSH else f"{number} ({said})")
     return f"{record.occlusions[0]:.0%} hidden at the start; {', '.join(words) or 'nothing done'}"
+
+
+def in_brief(record: EpisodeRecord) -> str:
+    """Return what happened, how it ended, and the reward; see `in_words`."""
+    return f"{in_words(record)} ({record.end}), reward {record.rewards.sum():.1f}"
 
 
 def mean_interval(values: ArrayLike) -> Estimate:

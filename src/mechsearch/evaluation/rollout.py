@@ -27,7 +27,9 @@ from mechsearch.evaluation.episodes import (
     RetrievalRecord,
     load_episodes,
 )
+from mechsearch.evaluation.frames import recorded_environment
 from mechsearch.evaluation.policies import (
+    RETRIEVAL,
     RETRIEVE,
     SHIPPED_POLICIES,
     ObservationWrapper,
@@ -42,7 +44,7 @@ from mechsearch.evaluation.policies import (
 )
 from mechsearch.files import differing_fields, fingerprint
 from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
-from mechsearch.objects.model import ObjectSet
+from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim import engine_version
 from mechsearch.types import (
@@ -51,6 +53,7 @@ from mechsearch.types import (
     MechSearchError,
     Observation,
     Policy,
+    Weighed,
     select,
 )
 
@@ -173,44 +176,77 @@ def run_episode(
     policy: Policy, env: AnyEnv, index: int, seed: int = 0, name: str = "policy"
 ) -> EpisodeRecord:
     """Return one episode from the heap's own start; see `run`."""
-    heap = env.heaps[index]
-    obs, _ = env.reset(options={"heap": index, "fixed_start": True})
-    _ask(name, policy.reset, np.random.default_rng([seed, heap.seed]))
+    episode = RunningEpisode(env, index, name)
+    begin(policy, env, seed, name)
+    while not episode.end:
+        episode.step(_ask(name, policy.act, select(episode.obs, policy.keys)))
+    return episode.record
+
+
+def begin(policy: Policy, env: AnyEnv, seed: int, name: str) -> None:
+    """Let a policy begin on the heap that an environment has just been reset to; see `run`."""
+    _ask(name, policy.reset, np.random.default_rng([seed, env.heap.seed]))
     if isinstance(policy, Planner):
         _ask(name, policy.plan, env)
-    states, actions, infos = [env.state], [], [{"end": None}]
-    while infos[-1]["end"] is None:
-        action = _ask(name, policy.act, select(obs, policy.keys))
+
+
+class RunningEpisode:
+    """An episode from a heap's own start, action by action.
+
+    Attributes:
+        obs: What is seen now.
+        end: How it ended; empty while it goes on.
+    """
+
+    def __init__(self, env: AnyEnv, index: int, name: str) -> None:
+        """Put the heap of an index on the table; `name` is who acts."""
+        self._env, self._name = env, name
+        self.obs, _ = env.reset(options={"heap": index, "fixed_start": True})
+        self.end = ""
+        self._states, self._actions, self._infos = [env.state], list[Array](), list[Any]()
+
+    def step(self, action: Array) -> None:
+        """Carry out an action.
+
+        Raises:
+            MechSearchError: If it is none; who acted is named.
+        """
         try:
-            obs, _, _, _, info = env.step(action)
+            self.obs, _, _, _, info = self._env.step(action)
         except MechSearchError as error:
-            raise MechSearchError(f"at an action of policy {name}: {error}") from error
-        actions.append(np.asarray(action, env.action_space.dtype))
-        infos.append(info)
+            raise MechSearchError(f"at an action of policy {self._name}: {error}") from error
+        self._actions.append(np.asarray(action, self._env.action_space.dtype))
+        self._infos.append(info)
         # After a failure only the state before it can be trusted.
-        states.append(states[-1] if info["failure"] else env.state)
-    steps: list[dict[str, Any]] = infos[1:]
-    return EpisodeRecord(
-        heap_seed=heap.seed,
-        count=heap.count,
-        condition=heap.condition,
-        policy=name,
-        objects=heap.objects,
-        target=heap.target,
-        actions=np.stack(actions),
-        ee_positions=np.stack([state.ee_position for state in states]),
-        occlusions=np.array([state.occlusion for state in states]),
-        poses=np.stack([state.poses for state in states]),
-        reward_terms={
-            term: np.array([step["reward_terms"][term] for step in steps])
-            for term in steps[0]["reward_terms"]
-        },
-        clutter_moved=np.array([step["clutter_moved"] for step in steps]),
-        target_moved=np.array([step["target_moved"] for step in steps]),
-        end=steps[-1]["end"],
-        action_limit=env.config.max_actions,
-        retrieval=_retrieval(steps) if isinstance(env, RetrieveEnv) else None,
-    )
+        self._states.append(self._states[-1] if info["failure"] else self._env.state)
+        self.end = info["end"] or ""
+
+    @property
+    def record(self) -> EpisodeRecord:
+        """What happened so far."""
+        heap, states, steps = self._env.heap, self._states, self._infos
+        shape = self._env.action_space.shape or ()
+        return EpisodeRecord(
+            heap_seed=heap.seed,
+            count=heap.count,
+            condition=heap.condition,
+            policy=self._name,
+            objects=heap.objects,
+            target=heap.target,
+            actions=np.array(self._actions).reshape(-1, *shape),
+            ee_positions=np.stack([state.ee_position for state in states]),
+            occlusions=np.array([state.occlusion for state in states]),
+            poses=np.stack([state.poses for state in states]),
+            reward_terms={
+                term: np.array([step["reward_terms"][term] for step in steps])
+                for term in (steps[0]["reward_terms"] if steps else ())
+            },
+            clutter_moved=np.array([step["clutter_moved"] for step in steps]),
+            target_moved=np.array([step["target_moved"] for step in steps]),
+            end=self.end,
+            action_limit=self._env.config.max_actions,
+            retrieval=_retrieval(steps) if isinstance(self._env, RetrieveEnv) else None,
+        )
 
 
 def _retrieval(infos: Sequence[Mapping[str, Any]]) -> RetrievalRecord:
@@ -336,6 +372,23 @@ def planned_header(plan: EvaluationPlan) -> dict[str, Any]:
     """
     rollouts = _Rollouts(plan)
     return rollouts.header | {"heaps": len(rollouts.heap_set.choose(plan.split, plan.limit))}
+
+
+def opened(plan: EvaluationPlan, also: Sequence[str] = ()) -> tuple[Policy, AnyEnv, list[int]]:
+    """Return a plan's policy, its environment, and the indices of its heaps.
+
+    Args:
+        plan: What is planned.
+        also: Observation keys beside those of the policy.
+
+    Raises:
+        MechSearchError: If the plan cannot be carried out.
+    """
+    rollouts = _Rollouts(plan)
+    keys = dict.fromkeys((*rollouts.policy.keys, *also))
+    heap_set, objects = rollouts.opened
+    env = make_environment(heap_set.heaps, objects, rollouts.task, [*keys])
+    return rollouts.policy, env, [*heap_set.choose(plan.split, plan.limit)]
 
 
 _NO_INPUTS = (
@@ -624,6 +677,73 @@ def play_all(
     for i, found in enumerate(results):
         progress(name, i + 1, len(episodes))
         yield found
+
+
+def begun_again(
+    header: Mapping[str, Any],
+    record: EpisodeRecord,
+    models: Mapping[str, ObjectModel],
+    keys: Sequence[str],
+) -> tuple[AnyEnv, dict[str, Array]]:
+    """Return an environment at the start of a recorded episode, and what is seen there.
+
+    Args:
+        header: Of the evaluation.
+        record: The episode; its heap set is not needed.
+        models: Objects by name.
+        keys: Observation keys.
+    """
+    kind = RetrieveConfig if record.retrieval else HeapEnvConfig
+    config = environment_config(task_from_json(kind, header["env"]), keys)
+    env = recorded_environment(config, record, models)
+    return env, env.reset(options={"heap": 0, "fixed_start": True})[0]
+
+
+def weighed_again(
+    header: Mapping[str, Any],
+    record: EpisodeRecord,
+    models: Mapping[str, ObjectModel],
+    policy: str = "",
+) -> list[Weighed | None]:
+    """Return what the policy weighed before each action, by asking it again in the same physics.
+
+    It ends where the policy decides otherwise than it was recorded, as it may on another machine.
+
+    Args:
+        header: Of the evaluation.
+        record: The episode.
+        models: Objects by name.
+        policy: Who acted, as for `make_policy`. By default it is the one that the header names, if
+            it is shipped or built in: what a file names is not run.
+
+    Raises:
+        MechSearchError: If there is no such policy.
+    """
+    named = str(header["policy"])
+    if not policy and named not in (*SHIPPED_POLICIES, *RETRIEVAL):
+        return []
+    try:
+        who = policy_named(policy or named)
+    except MechSearchError:
+        if policy:
+            raise
+        # Without PyTorch there is an episode to see all the same.
+        return []
+    if not hasattr(who, "weighed"):
+        return []
+    env, obs = begun_again(header, record, models, who.keys)
+    if isinstance(env.config, RetrieveConfig) and isinstance(who, Equipped):
+        who.equip(env.config.grippers)
+    begin(who, env, header["seed"], named)
+    found = []
+    for action in record.actions:
+        if not np.allclose(_ask(named, who.act, select(obs, who.keys)), action, atol=1e-6):
+            break
+        found.append(who.weighed)
+        obs, _, _, _, info = env.step(action)
+        if info["end"]:
+            break
+    return found
 
 
 def record_differences(recorded: EpisodeRecord, played: EpisodeRecord) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from mechsearch.camera import Camera
-from mechsearch.render.renderer import Renderer
+from mechsearch.camera import Camera, look_at
+from mechsearch.render.renderer import PUSHER, Frame, Renderer
 from mechsearch.types import Array, MechSearchError
 
 SMOOTHING = 2
@@ -24,6 +24,22 @@ SIDES = (16, 2048)
 WHITE, INK = (255, 255, 255), (32, 36, 44)
 _SOFT = (110, 116, 126)
 _TINT, _RIM = (40, 215, 70), (0, 90, 30)
+
+
+_LAMP = Camera(
+    512, 512, 560.0, 560.0, 255.5, 255.5, look_at((0.75, 0.55, 1.15), (0.0, 0.0, 0.0), (0, 1, 0))
+)
+"""A view from the lamp: what it does not see lies in shade. High things throw it to a side, so that
+it shows how high they are."""
+
+_NEAR = ((0, 0), (1, 1), (-2, 0), (0, -2), (2, -1), (-1, 3), (3, 1), (-3, -1), (1, -3), (0, 2))
+"""Pixels about a point's own in the lamp's view, whose mean makes the edges of shadows soft."""
+
+_MARGIN = 4
+"""Pixels about the lamp's view, so that none of those is beyond it."""
+
+_BIAS = 0.009
+"""How much farther than the light goes a point must be to lie in shade [m]."""
 
 
 def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -46,19 +62,49 @@ def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
 def photographed(
     renderer: Renderer, camera: Camera, poses: Array, target: int, pusher: Array | None = None
 ) -> Image.Image:
-    """Return a heap with its target tinted, and a note where the frame cuts it.
+    """Return a heap with its target tinted, lit from a side, and a note where the frame cuts it.
 
     See `Renderer.frame`.
     """
     frame = renderer.frame(camera, poses, pusher, colour=True)
     assert frame.rgb is not None
-    image = Image.fromarray(tinted(frame.rgb, frame.modal(target)))
+    light = _lamplight(camera, frame, renderer.frame(_LAMP, poses, pusher).depth)
+    lit = tinted(frame.rgb, frame.modal(target)) * light[..., None]
+    image = Image.fromarray(np.clip(lit, 0, 255).astype(np.uint8))
     whole = frame.amodal[target]
     if whole[[0, -1]].any() or whole[:, [0, -1]].any():
         _note(image, "target partly out of view")
     elif not whole.any():
         _note(image, "target out of view")
     return image
+
+
+def _lamplight(camera: Camera, frame: Frame, reached: NDArray[np.float32]) -> Array:
+    """Return how bright each pixel (H, W) is: in the lamp's light, in shade, in a corner.
+
+    Args:
+        camera: Of the picture.
+        frame: The picture.
+        reached: How far the lamp's light goes (S, S) [m], by pixel of `_LAMP`.
+    """
+    # Light is so smooth that every second pixel will do.
+    rows, columns = np.mgrid[: camera.height : SMOOTHING, : camera.width : SMOOTHING]
+    seen = frame.depth[::SMOOTHING, ::SMOOTHING]
+    points = camera.points_at(columns, rows, seen)
+    places = _LAMP.project(points)
+    # Beyond the lamp's view all is light.
+    far = np.pad(np.where(reached > 0, reached, np.inf), _MARGIN, constant_values=np.inf)
+    inside = np.clip(np.round(places[..., :2]), -1, _LAMP.height).astype(np.intp) + _MARGIN
+    index, away = inside[..., 1] * len(far) + inside[..., 0], places[..., 2] - _BIAS
+    shade = sum((away > far.ravel()[index + down * len(far) + across]) for across, down in _NEAR)
+    # What is lower than its surroundings gets less light from the sky, the robot left out.
+    robot = frame.ids[::SMOOTHING, ::SMOOTHING] == PUSHER
+    height = np.clip(points[..., 2], -0.02, 0.12) * ~robot
+    around = ndimage.gaussian_filter(height, camera.height / SMOOTHING / 40)
+    corner = np.clip((around - height) / 0.04, 0, 1) * ~robot
+    light = np.where(seen > 0, 1.06 - 0.36 * shade / len(_NEAR) - 0.3 * corner, 1.0)
+    whole = light.astype(np.float32).repeat(SMOOTHING, axis=0).repeat(SMOOTHING, axis=1)
+    return np.asarray(whole[: camera.height, : camera.width])
 
 
 def _note(image: Image.Image, words: str) -> None:

@@ -29,6 +29,7 @@ from mechsearch.types import (
     Array,
     Floats,
     MechSearchError,
+    Weighed,
     check_extra,
 )
 
@@ -65,6 +66,18 @@ class Moment:
 
 Play = Callable[[Mapping[str, Any], EpisodeRecord, Mapping[str, ObjectModel]], Sequence[Moment]]
 """Makes the moments of an episode of retrieval, from its header, its record and the objects."""
+
+
+Weigh = Callable[
+    [Mapping[str, Any], EpisodeRecord, Mapping[str, ObjectModel]], Sequence[Weighed | None]
+]
+"""Tells what a policy weighed, from an episode's header, its record and the objects."""
+
+
+def nothing_known(*episode: Any) -> Sequence[Weighed | None]:
+    """Return that nothing is known of what a policy weighed; see `Weigh`."""
+    del episode
+    return ()
 
 
 class Hands:
@@ -106,7 +119,7 @@ def pushed(record: EpisodeRecord) -> Iterator[Moment]:
     for step in range(last + 1):
         words = f"{step} action{'s' if step > 1 else ''}" if step else "start"
         words += f": {record.occlusions[step]:.0%} hidden"
-        words += f", {record.end}" if 0 < step == last else ""
+        words += end_said(record, step - 1) if step else ""
         yield Moment(step, record.poses[step], words)
 
 
@@ -120,7 +133,7 @@ def recorded(
     for step, action in enumerate(record.actions):
         if came_to(record, step) not in ("", USED_UP):
             parts = hands.open_at(int(action[1]), np.asarray(action[2:], np.float64))
-            words = f"{hands.title(record, step)}: {came_to(record, step)}{_end(record, step)}"
+            words = f"{hands.title(record, step)}: {came_to(record, step)}{end_said(record, step)}"
             moments.append(Moment(step, record.poses[step], words, parts))
         if is_shown_after(record, step):
             moments.append(moment_after(record, step, hands))
@@ -136,7 +149,7 @@ def moment_after(record: EpisodeRecord, step: int, hands: Hands) -> Moment:
     """Return the moment at which an action is over."""
     hidden = f"{record.occlusions[step + 1]:.0%} hidden"
     said = "none left" if came_to(record, step) == USED_UP else hidden
-    words = f"{hands.title(record, step)}: {said}{_end(record, step)}"
+    words = f"{hands.title(record, step)}: {said}{end_said(record, step)}"
     # Of pushes in a row a filmstrip shows the last.
     kinds = record.actions[step : step + 2, 0].tolist()
     shown = kinds[0] == PUSH and kinds != [PUSH, PUSH]
@@ -154,8 +167,9 @@ def came_to(record: EpisodeRecord, step: int) -> str:
     return record.retrieval.outcomes[step]
 
 
-def _end(record: EpisodeRecord, step: int) -> str:
-    return f", {record.end}" if step + 1 == len(record.actions) else ""
+def end_said(record: EpisodeRecord, step: int) -> str:
+    """Return how the episode ended, to be said after an action, if that was the last."""
+    return f", {record.end}" if record.end and step + 1 == len(record.actions) else ""
 
 
 FORMATS = (".gif", ".mp4")
@@ -191,6 +205,8 @@ class Film:
         record: The episode.
         config: How frames look.
         moments: What there is to draw: of pushes the start, and the state after each action.
+        bodies: The episode's objects, and after them what else the moments' `parts` place.
+        pusher: What pushes, with its tip at the origin; None leaves it out.
     """
 
     def __init__(
@@ -223,9 +239,9 @@ class Film:
             )
         self.record, self.config = record, config
         self.moments = tuple(moments or pushed(record))
-        self._parts = tuple(parts)
-        self._renderer = Renderer([*(models[name] for name in record.objects), *parts], pusher)
-        self._pusher = pusher is not None
+        self.bodies = (*(models[name] for name in record.objects), *parts)
+        self.pusher = pusher
+        self._renderer = Renderer(self.bodies, pusher)
         size = config.size * SMOOTHING
         of_lifts = record.retrieval and not config.camera
         self._camera = _lift_view(size) if of_lifts else preset(config.camera or "overhead", size)
@@ -244,20 +260,23 @@ class Film:
                 after a grasp the path begins anew.
         """
         record, moment = self.record, self.moments[number]
-        parts = moment.parts
-        tip = np.array([*record.ee_positions[moment.step], 1.0, 0.0, 0.0, 0.0])
-        pusher = tip if self._pusher and parts is None else None
-        poses = moment.poses
-        if self._parts:
-            hidden = np.tile(OUT_OF_SIGHT, (len(self._parts), 1))
-            poses = np.concatenate([poses, hidden if parts is None else parts])
+        poses, pusher = self.placed(number)
         image = photographed(self._renderer, self._camera, poses, record.target, pusher)
-        for path in _path(record, moment) if until is None else _paths(record, until):
+        for path in path_at(record, moment) if until is None else _paths(record, until):
             draw_path(image, self._camera, path)
         small = shrunk(image, self.config.size)
         if not self.config.captions:
             return small
         return captioned(small, moment.words, text=max(11, self.config.size // 20))
+
+    def placed(self, number: int) -> tuple[Floats, Floats | None]:
+        """Return the poses of all bodies (B, 7) at a moment, and of what pushes (7,), if seen."""
+        moment = self.moments[number]
+        hidden = np.tile(OUT_OF_SIGHT, (len(self.bodies) - len(moment.poses), 1))
+        parts = moment.parts if len(hidden) and moment.parts is not None else hidden
+        tip = np.array([*self.record.ee_positions[moment.step], 1.0, 0.0, 0.0, 0.0])
+        pushes = self.pusher is not None and moment.parts is None
+        return np.concatenate([moment.poses, parts]), tip if pushes else None
 
 
 def film_of(
@@ -298,7 +317,7 @@ def _lift_view(size: int) -> Camera:
     return Camera(size, size, focal, focal, centre, centre, pose)
 
 
-def _path(record: EpisodeRecord, moment: Moment) -> list[Floats]:
+def path_at(record: EpisodeRecord, moment: Moment) -> list[Floats]:
     """Return the path of the pushes that go on at a moment, if they do."""
     over = record.retrieval and moment.step and record.actions[moment.step - 1, 0] != PUSH
     return [] if over or moment.parts is not None else _paths(record, moment.step)[-1:]

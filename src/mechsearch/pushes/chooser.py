@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, look
-from mechsearch.types import ACTOR_KEYS, Floats, Observation
+from mechsearch.types import ACTOR_KEYS, PUSH, Floats, Observation, Weighed
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])
 """Where a target is looked for that was never visible (3,) [m]: in the middle of the heap."""
@@ -34,17 +34,29 @@ class PushChooser(ABC):
         """Begin an episode; candidates come from `rng`."""
         self._rng = rng
         self._push: PlannedPush | None = None
+        self._judged: tuple[Sequence[Push], Floats, Sight] | None = None
         self._last_seen = _UNSEEN
 
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the next action (3,) of the present push, or of a new one."""
         action = None if self._push is None else self._push.act(obs)
+        self._judged = None
         if action is None:
             sight = self.see(obs)
             pushes = draw_pushes(self.candidates, self._rng)
             self._push = PlannedPush(pushes[self.best(pushes, sight)], sight)
             action = self._push.act(obs)
         return np.zeros(3, np.float32) if action is None else action
+
+    @property
+    def weighed(self) -> Weighed | None:
+        """What the last action was chosen among; see `Weighed`."""
+        if self._judged is None:
+            return None
+        pushes, values, sight = self._judged
+        ways = tuple(PlannedPush(push, sight).way for push in pushes)
+        chosen = int(np.argmax(values))
+        return Weighed((PUSH,) * len(ways), ways, values, chosen, "reward expected from here")
 
     def see(self, obs: Observation) -> Sight:
         """Return what an observation shows; a hidden target counts as where it was seen last."""
@@ -56,7 +68,9 @@ class PushChooser(ABC):
 
     def best(self, pushes: Sequence[Push], sight: Sight) -> int:
         """Return the index of the best push."""
-        return int(np.argmax(self.judge(pushes, sight)))
+        values = self.judge(pushes, sight)
+        self._judged = pushes, values, sight
+        return int(np.argmax(values))
 
     @abstractmethod
     def judge(self, pushes: Sequence[Push], sight: Sight) -> Floats:

@@ -241,6 +241,7 @@ class PlannedPush:
 
     Attributes:
         path: Its waypoints (N, 2) [m].
+        way: The same at its height (N, 3) [m].
         start: Where the push begins (3,) [m].
         approach: Actions that the way to there will take, as planned.
         length: Actions that the push itself will take, as planned.
@@ -262,7 +263,8 @@ class PlannedPush:
         self._target, self._others = sight.centre, sight.obstacles
         self._route = Route(replace(_SEEN, clearance=push.height))
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
-        self.path = self._route.push[:, :2].copy()
+        self.way = self._route.push.copy()
+        self.path = self.way[:, :2]
         way = np.vstack([sight.ee_position, self._route.waypoints])
         first = len(way) - len(self._route.push)
         self.start, self.flies = way[first], first > 1

@@ -11,7 +11,7 @@ from itertools import chain
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mechsearch.evaluation.episodes import in_words, load_episodes
+from mechsearch.evaluation.episodes import in_brief, in_words, load_episodes
 from mechsearch.findings import analysis, failure_modes
 from mechsearch.findings.analysis import Analysis
 from mechsearch.findings.claims import Ruling, answer_table, overview_table
@@ -23,13 +23,23 @@ from mechsearch.pictures.film import (
     FilmConfig,
     Models,
     Play,
+    Weigh,
     film_of,
     filmstrip,
+    nothing_known,
     recorded,
     start_and_end,
 )
+from mechsearch.pictures.page import Shown, episode_page
 from mechsearch.report import figures
-from mechsearch.report.document import Content, Document, Paragraph, Picture, Section
+from mechsearch.report.document import (
+    Content,
+    Document,
+    PageBeside,
+    Paragraph,
+    Picture,
+    Section,
+)
 
 SHOWN_MODES = (SUCCESS, BACK_AND_FORTH, HOVERING)
 _FRAMES, _STRIP, _PAIR = 4, 320, 224
@@ -58,6 +68,7 @@ def document(
     title: str,
     models: Mapping[str, Models] | None = None,
     play: Play = recorded,
+    weigh: Weigh = nothing_known,
     progress: Callable[[str, int, int], object] = lambda *_: None,
 ) -> Document:
     """Return the whole report.
@@ -67,6 +78,7 @@ def document(
         title: At its head.
         models: Objects by name for each condition, to draw episodes; None leaves pictures out.
         play: Makes what is drawn of an episode of retrieval.
+        weigh: Tells what a policy weighed in an episode.
         progress: Told before each section, and in the end.
     """
     experiment = found.experiment
@@ -89,8 +101,9 @@ def document(
     )
     sections["Scores"] = _scores(experiment)
     sections["How episodes end"] = _modes(experiment, models or {}, play)
-    if models and not planned:
-        sections["Episodes"] = _episodes(experiment, models, play)
+    if models:
+        pictures = iter(()) if planned else _episodes(experiment, models, play)
+        sections["Episodes"] = chain(pictures, _pages(experiment, models, play, weigh))
     notes = (Paragraph(note, "note") for note in analysis.made_notes(experiment))
     tables = map(analysis.made_table, experiment.conditions.values())
     sections["How this was made"] = chain(tables, notes)
@@ -223,6 +236,47 @@ def _episodes(
             yield from ranked_pictures(condition, models[name], play)
 
 
+def _pages(
+    experiment: Experiment, models: Mapping[str, Models], play: Play, weigh: Weigh
+) -> Iterator[PageBeside]:
+    for name, condition in experiment.conditions.items():
+        page = ranked_page(condition, models[name], play, weigh) if name in models else ""
+        if page:
+            what = f"{condition.subjects[0]} in {condition.heaps}"
+            ranks = f"{', '.join(RANKS[:-1])} and {RANKS[-1]}"
+            text = f"The {ranks} episode of {what}, in three dimensions"
+            yield PageBeside(page, text, f"episodes-{name}")
+
+
+def ranked_page(
+    condition: Condition, models: Models, play: Play = recorded, weigh: Weigh = nothing_known
+) -> str:
+    """Return a page of the three episodes by which the first policy that learnt ranks heaps.
+
+    It is empty where these episodes are not there.
+
+    Args:
+        condition: Whose policies are shown.
+        models: Objects by name.
+        play: Makes what is drawn of an episode of retrieval.
+        weigh: Tells what a policy weighed in an episode.
+    """
+    chooser = condition.policies[condition.subjects[0]][0]
+    if not chooser.path.exists():
+        return ""
+    heaps = ranked_heaps(chooser.heaps, chooser.values["reward"])
+    evaluation = load_episodes(chooser.path)
+    header = evaluation.header
+    records = {record.heap_seed: record for record in evaluation.episodes}
+    shown = {}
+    for rank, heap in heaps.items():
+        record = records[heap]
+        film = film_of(header, record, models, FilmConfig(), True, play)
+        words = f"heap {heap}: {in_brief(record)}"
+        shown[rank] = Shown(film, words, weigh(header, record, models))
+    return episode_page(f"{condition.subjects[0]} in {condition.heaps}", shown)
+
+
 def shown_modes(condition: Condition) -> tuple[str, ...]:
     """Return what filmstrips show: success, and failures; of retrieval its two most common ones."""
     if not condition.retrieves:
@@ -253,7 +307,7 @@ def mode_pictures(condition: Condition, models: Models, play: Play = recorded) -
         )
         if mode != SUCCESS and not condition.retrieves:
             caption += f"; nothing moves for {scored.modes[index].stretch} actions in a row"
-        film = film_of(scored.header, record, models, FilmConfig(size=_STRIP), play=play)
+        film = film_of(scored.header, record, models, FilmConfig(size=_STRIP), True, play)
         strip = filmstrip(film, _FRAMES)
         yield Picture(_encoded(strip), f"Frames of an episode. {caption}", f"{caption}.")
 

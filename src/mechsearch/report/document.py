@@ -1,7 +1,7 @@
 """A report as data: sections of paragraphs, tables and pictures; as one HTML page, and as a PDF.
 
-The page needs no other file: there is no script, and nothing is fetched. Both are the same bytes
-from the same document.
+The page needs no other file: there is no script, and nothing is fetched. What it links to in a
+folder beside it are pages of their own. All are the same bytes from the same document.
 """
 
 import base64
@@ -15,6 +15,7 @@ from pathlib import Path
 from string import Template
 from types import MethodType
 from typing import Final
+from urllib.parse import quote
 
 from fpdf import FPDF
 from fpdf.enums import CellBordersLayout, TableBordersLayout
@@ -81,7 +82,22 @@ class Picture:
         return width, height
 
 
-Content = Paragraph | Table | Picture
+@dataclass(frozen=True)
+class PageBeside:
+    """A page of its own in the folder beside the document.
+
+    Attributes:
+        content: HTML.
+        text: What is on it.
+        name: Of its file, without the suffix.
+    """
+
+    content: str
+    text: str
+    name: str
+
+
+Content = Paragraph | Table | Picture | PageBeside
 
 
 @dataclass(frozen=True)
@@ -116,25 +132,38 @@ class Document:
             if isinstance(block, Picture) and block.name and isinstance(block.content, str)
         }
 
+    @property
+    def pages(self) -> dict[str, str]:
+        """The pages beside it, by the name of each file."""
+        blocks = (block for section in self.sections for block in section.blocks)
+        return {block.name: block.content for block in blocks if isinstance(block, PageBeside)}
 
-def to_html(document: Document) -> str:
-    """Return a document as one HTML page that needs no other file."""
+
+def to_html(document: Document, beside: str = "") -> str:
+    """Return a document as one HTML page that needs no other file.
+
+    Args:
+        document: The document.
+        beside: Name of the folder of its `pages`.
+    """
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         title=escape(document.title),
         lead=escape(document.lead),
-        body="\n".join(map(_section_html, document.sections)),
+        body="\n".join(_section_html(section, beside) for section in document.sections),
     )
 
 
-def _section_html(section: Section) -> str:
+def _section_html(section: Section, beside: str) -> str:
     name = section.title.lower().replace(" ", "-")
-    body = "".join(map(_block_html, section.blocks))
+    body = "".join(_block_html(block, beside) for block in section.blocks)
     return f'<section aria-labelledby="{name}"><h2 id="{name}">{section.title}</h2>{body}</section>'
 
 
-def _block_html(block: Content) -> str:
+def _block_html(block: Content, beside: str) -> str:
     if isinstance(block, Paragraph):
         return f"<p{_class(block.kind)}>{escape(block.text)}</p>"
+    if isinstance(block, PageBeside):
+        return f'<p><a href="{quote(beside)}/{quote(block.name)}.html">{escape(block.text)}</a></p>'
     if isinstance(block, Table):
         return _table_html(block)
     text = isinstance(block.content, str)
@@ -231,6 +260,8 @@ class _Pages(FPDF):
             self.write_text(block.text, size, colour=colour, after=2)
         elif isinstance(block, Table):
             self.put_table(block)
+        elif isinstance(block, PageBeside):
+            self.put(Paragraph(f"{block.text}: {block.name}.html, beside the report's page."))
         else:
             self._waiting.append(block)
             self._place()

@@ -10,7 +10,7 @@ from mechsearch.env import reachable
 from mechsearch.geometry import rotation_from_quaternion
 from mechsearch.grasp.grasp_view import GraspView, segment_view, surroundings
 from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
-from mechsearch.types import Array, Floats, MechSearchError, Observation
+from mechsearch.types import GRASP, Array, Floats, MechSearchError, Observation, Weighed
 
 TARGET = 1
 """Segment of the target."""
@@ -50,6 +50,18 @@ class Candidate:
     gripper: int
     pose: Floats
     quality: float
+
+
+def weighed_grasps(candidates: Sequence[Candidate]) -> Weighed | None:
+    """Return grasps of the target, the best first, as what was weighed; None where there are none.
+
+    The best two dozen are enough to see.
+    """
+    best = candidates[:24]
+    if not best:
+        return None
+    ways, values = tuple(each.pose for each in best), np.array([each.quality for each in best])
+    return Weighed((GRASP,) * len(best), ways, values, 0, "chance to grasp the target now")
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from mechsearch.evaluation.policies import RETRIEVE, policy_named
 from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.planner import RatedGrasps
 from mechsearch.pushes.push import PlannedPush, draw_pushes, look
-from mechsearch.retrieval.grasper import Candidate, Grasper, occluders
+from mechsearch.retrieval.grasper import Candidate, Grasper, occluders, weighed_grasps
 from mechsearch.types import (
     ACTOR_KEYS,
     BUDGET_KEYS,
@@ -36,6 +36,7 @@ from mechsearch.types import (
     Floats,
     MechSearchError,
     Observation,
+    Weighed,
     select,
 )
 
@@ -52,6 +53,7 @@ class GraspOnly:
     def __init__(self) -> None:
         """Begin without a gripper; see `equip`."""
         self.grasper = Grasper()
+        self._found: Sequence[Candidate] = ()
 
     def equip(self, grippers: tuple[str, ...]) -> None:
         """Take the names of the robot's grippers; see `Grasper.equip`."""
@@ -60,14 +62,21 @@ class GraspOnly:
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; proposals come from `rng`."""
         self.grasper.reset(rng)
+        self._found = ()
 
     def act(self, obs: Observation) -> Floats:
         """Return the vector (9,) of a decision."""
         return self.grasp(self.grasper.view(obs))
 
+    @property
+    def weighed(self) -> Weighed | None:
+        """The grasps that the last decision was chosen among; see `Weighed`."""
+        return weighed_grasps(self._found)
+
     def grasp(self, view: GraspView) -> Floats:
         """Return the vector (9,) of the most promising grasp of the target."""
         found = self.grasper.candidates(view) or [self.grasper.blind(view)]
+        self._found = found
         self.grasper.remember(view, found[0])
         return Decision.grasp(found[0].pose, found[0].gripper).vector()
 
@@ -103,6 +112,11 @@ class UncoverThenGrasp(GraspOnly):
             return super().act(obs)
         return Decision.push(self._pusher.act(select(obs, self._pusher.keys))).vector()
 
+    @property
+    def weighed(self) -> Weighed | None:
+        """What the last decision was chosen among: pushes, or grasps."""
+        return super().weighed or getattr(self._pusher, "weighed", None)
+
 
 def uncover_then_grasp_dual() -> UncoverThenGrasp:
     """Return the baseline with the pushes that were learnt in dual heaps."""
@@ -122,6 +136,7 @@ class ClearThenGrasp(GraspOnly):
 
     def act(self, obs: Observation) -> Floats:
         """Return the vector (9,) of a decision."""
+        self._found = ()
         if obs["removals_left"][0]:
             for occluder in occluders(obs["grasp_depth"], obs["segments"]):
                 view = self.grasper.view(obs, occluder.segment)

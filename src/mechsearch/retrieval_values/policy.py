@@ -14,7 +14,7 @@ from mechsearch.env import Decision, TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
 from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
 from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look
-from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper, occluders
+from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper, occluders, weighed_grasps
 from mechsearch.retrieval_values.value import RetrievalValue
 from mechsearch.retrieval_values.view import (
     Option,
@@ -23,7 +23,16 @@ from mechsearch.retrieval_values.view import (
     Situation,
     view_options,
 )
-from mechsearch.types import RETRIEVAL_KEYS, Array, Floats, Observation
+from mechsearch.types import (
+    GRASP,
+    PUSH,
+    REMOVE,
+    RETRIEVAL_KEYS,
+    Array,
+    Floats,
+    Observation,
+    Weighed,
+)
 
 _AROUND = 14
 """Pixels about the target within which another object may be in the way [px]."""
@@ -98,11 +107,14 @@ class RetrievePolicy:
         self._rng = rng
         self._push: PlannedPush | None = None
         self._removed: list[Floats] = []
+        self._judged: tuple[Sequence[Option], Floats] | None = None
+        self.weighed: Weighed | None = None
         self.grasper.reset(rng)
 
     def act(self, obs: Observation) -> Floats:
         """Return the vector (9,) of a decision."""
         action = None if self._push is None else self._push.act(obs)
+        self.weighed = None
         if action is not None and obs["pushes_left"][0]:
             return Decision.push(action).vector()
         self._push = None
@@ -119,13 +131,31 @@ class RetrievePolicy:
         """Return what to do next, and remember it: an option, or a grasp of the target."""
         view = self.grasper.view(obs)
         grasps = self.grasper.candidates(view)
+        self._judged = None
         if not grasps or grasps[0].quality < self.config.sure:
             option = self._better(obs, view, grasps)
             if option is not None:
                 if isinstance(option, RemovalOption):
                     self._removed.append(option.grasp.pose[:3])
+                self.weighed = self._compared(grasps, option)
                 return option
+        self.weighed = self._compared(grasps, None)
         return self.grasp(view, grasps)
+
+    def _compared(self, grasps: Sequence[Candidate], decided: Option | None) -> Weighed | None:
+        """Return what was weighed: grasps of the target, then the options that were judged."""
+        found = weighed_grasps(grasps)
+        if self._judged is None:
+            return found if decided is None else None
+        options, worth = self._judged
+        kinds = [REMOVE if isinstance(o, RemovalOption) else PUSH for o in options]
+        ways = [o.grasp.pose if isinstance(o, RemovalOption) else o.planned.way for o in options]
+        kept, values = ((), ()) if found is None else (found.ways, found.values)
+        chosen = 0 if decided is None else len(kept) + options.index(decided)
+        return Weighed(
+            (*[GRASP] * len(kept), *kinds), (*kept, *ways), np.concatenate([values, worth]),
+            chosen, f"chance to grasp the target {'' if found is None else 'now, or '}afterwards",
+        )  # fmt: skip
 
     def grasp(self, view: GraspView, grasps: Sequence[Candidate]) -> Candidate:
         """Return the best grasp, a blind one where there is none, and remember it."""
@@ -146,6 +176,7 @@ class RetrievePolicy:
             return max(removals, key=lambda o: o.height) if removals else options[0]
         situation = self.situation(view, grasps)
         worth = self.judge(options, situation)
+        self._judged = options, worth
         first = int(np.argmax(worth))
         return options[first] if worth[first] > situation.chance + self.config.margin else None
 

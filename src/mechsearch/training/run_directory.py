@@ -20,7 +20,7 @@ from mechsearch.files import (
 )
 from mechsearch.files.tensors import Archive, kind_of, load_archive, save_archive
 from mechsearch.training.config import load_config, make_algorithm, name_of, save_config
-from mechsearch.types import Array, MechSearchError, Observation, Policy
+from mechsearch.types import Array, MechSearchError, Observation, Policy, Weighed
 
 POLICY_KINDS = {"actor-critic": "mechsearch actor", "push-values": "mechsearch push policy"}
 """What a file says that it is, where that is not the algorithm's own name."""
@@ -66,6 +66,11 @@ class TrainedPolicy:
     def act(self, obs: Observation) -> Array:
         """Return the policy's action (3,), or decision (9,)."""
         return self.policy.act(obs)
+
+    @property
+    def weighed(self) -> Weighed | None:
+        """What the last action was chosen among, if the policy tells; see `Weighed`."""
+        return getattr(self.policy, "weighed", None)
 
 
 def trained(policy: Policy, algorithm: Algorithm, actions: int, task: TaskConfig) -> TrainedPolicy:
