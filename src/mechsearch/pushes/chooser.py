@@ -34,13 +34,13 @@ class PushChooser(ABC):
         """Begin an episode; candidates come from `rng`."""
         self._rng = rng
         self._push: PlannedPush | None = None
-        self._judged: tuple[Sequence[Push], Floats, Sight] | None = None
+        self._compared: tuple[Sequence[Push], Floats, Sight] | None = None
         self._last_seen = _UNSEEN
 
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the next action (3,) of the present push, or of a new one."""
         action = None if self._push is None else self._push.act(obs)
-        self._judged = None
+        self._compared = None
         if action is None:
             sight = self.see(obs)
             pushes = draw_pushes(self.candidates, self._rng)
@@ -51,9 +51,9 @@ class PushChooser(ABC):
     @property
     def weighed(self) -> Weighed | None:
         """What the last action was chosen among; see `Weighed`."""
-        if self._judged is None:
+        if self._compared is None:
             return None
-        pushes, values, sight = self._judged
+        pushes, values, sight = self._compared
         ways = tuple(PlannedPush(push, sight).way for push in pushes)
         chosen = int(np.argmax(values))
         return Weighed((PUSH,) * len(ways), ways, values, chosen, "reward expected from here")
@@ -69,7 +69,7 @@ class PushChooser(ABC):
     def best(self, pushes: Sequence[Push], sight: Sight) -> int:
         """Return the index of the best push."""
         values = self.judge(pushes, sight)
-        self._judged = pushes, values, sight
+        self._compared = pushes, values, sight
         return int(np.argmax(values))
 
     @abstractmethod
