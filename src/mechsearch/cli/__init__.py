@@ -42,6 +42,10 @@ COMMANDS = {
     "grasp test": ("grasp_learning:TestGrasps", "judge grasp networks on labelled grasps"),
     "grasp calibrate": ("grasp_learning:CalibrateGrasps", "hold scores against lift success"),
     "grasp ceiling": ("grasping:FindCeiling", "which targets can grippers lift at all?"),
+    "segment images": ("segmentation:MakeImages", "render heaps for training a segmentation"),
+    "segment train": ("segmentation:TrainSegmentation", "train a segmentation, or go on"),
+    "segment test": ("segmentation:TestSegmentation", "hold masks against the truth on heaps"),
+    "segment show": ("segmentation:ShowSegmentation", "draw images, truth and masks"),
     "benchmark list": ("benchmark:ListSplits", "the benchmark's tasks, splits and heaps"),
     "benchmark run": ("benchmark:RunBenchmark", "a policy's episodes and card, as a submission"),
     "benchmark submit": ("benchmark:Submit", "play a submission again, and enter it"),
@@ -62,7 +66,7 @@ GRIPPER_COMMANDS = {
 it, about the paper's graspability."""
 
 _NEEDED = {
-    "learn": ("train", "sweep", "pack", "export policy", "grasp", "demo"),
+    "learn": ("train", "sweep", "pack", "export policy", "grasp", "segment", "demo"),
     "report": ("report", "demo"),
 }
 EXTRAS_OF = {

@@ -128,6 +128,7 @@ class HeapScene(Generic[W]):
         )
         # Occlusion is measured from the standard view, whatever the policy's image size.
         self.camera = preset(config.camera)
+        self._finder = config.finder
         self._kept: OrderedDict[int, tuple[W, Renderer]] = OrderedDict()
         self._index, self._episode = -1, 0
 
@@ -270,6 +271,8 @@ class HeapScene(Generic[W]):
                 self._effector_pose() if self._robot_in_view else None,
                 lambda frame: frame.modal(heap.target), self.observer.needs_colour,
             )  # fmt: skip
+            if self._finder is not None:
+                mask = self._found(step)
         return self.observer.observe(
             Scene(
                 depth=depth,
@@ -283,6 +286,20 @@ class HeapScene(Generic[W]):
                 label=self._labels[heap.objects[heap.target]],
             )
         )
+
+    def _found(self, step: int) -> Array:
+        """Return where a segmenter sees the target (H, W), after so many actions.
+
+        It looks at an image of its own size, of the same sensor.
+        """
+        heap, finder = self.heap, self._finder
+        assert finder is not None
+        depth, _, rgb = self.sense(
+            finder.camera, step, self.poses, self._effector_pose() if self._robot_in_view else None,
+            lambda frame: np.zeros(frame.depth.shape, np.bool_), True,
+        )  # fmt: skip
+        target = self._objects.models[heap.objects[heap.target]]
+        return finder.visible(target, rgb, depth, self._config.image_size)
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that comes of it depends on, as arrays."""

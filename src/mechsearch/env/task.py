@@ -11,6 +11,7 @@ from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
 from mechsearch.observe.sensor import Sensor, sensor_named
+from mechsearch.segmentation.segmenter import TRUE, TargetFinder, check_segmenter
 from mechsearch.sim import ENGINES, PhysicsConfig, Pusher, Workspace, gripper_named
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 
@@ -41,6 +42,8 @@ class TaskConfig:
         camera: View of all images and of occlusion: "overhead" or "tilted".
         image_size: Side of the square images [px].
         sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh".
+        segmenter: What finds the target's visible part: "true", the simulator itself; "shipped", a
+            network; a network's file; or package.module:factory.
         max_actions: Length of an episode (paper: 50).
         uncovered_at: Occlusion up to which the target counts as completely visible.
         start_distance: Least distance from start to target [m] (paper: 0.2).
@@ -55,6 +58,7 @@ class TaskConfig:
     camera: str = "overhead"
     image_size: int = 64
     sensor: str = "perfect"
+    segmenter: str = TRUE
     max_actions: int = 50
     uncovered_at: float = 0.02
     start_distance: float = 0.2
@@ -68,6 +72,7 @@ class TaskConfig:
         check_kinds(self)
         preset(self.camera, self.image_size)
         sensor_named(self.sensor)
+        check_segmenter(self.segmenter)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
         least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
         bounds = {"workspace.high": workspace.low, "pusher.length": 2 * pusher.radius}
@@ -100,6 +105,11 @@ class TaskConfig:
     def sees(self) -> Sensor:
         """What `sensor` names."""
         return sensor_named(self.sensor)
+
+    @property
+    def finder(self) -> TargetFinder | None:
+        """A new one of what `segmenter` names; None of the simulator's own masks."""
+        return None if self.segmenter == TRUE else TargetFinder(self.segmenter, self.camera)
 
 
 @dataclass(frozen=True)
@@ -188,6 +198,11 @@ class RetrievalTask(TaskConfig):
         if self.engine != ENGINES[0]:
             raise MechSearchError(
                 f"engine is {self.engine!r}; grippers are simulated by {ENGINES[0]} alone"
+            )
+        if self.segmenter != TRUE:
+            raise MechSearchError(
+                f"segmenter is {self.segmenter!r}; grasps are planned on masks of all objects, "
+                f"which only {TRUE!r} has"
             )
         if self.pusher != Pusher():
             raise MechSearchError(

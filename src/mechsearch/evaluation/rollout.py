@@ -397,7 +397,11 @@ _NO_INPUTS = (
 )
 """What of a header is of the program, or follows from the rest."""
 
-_LATER = {"sensor": TaskConfig.sensor, "engine": TaskConfig.engine}
+_LATER = {
+    "sensor": TaskConfig.sensor,
+    "engine": TaskConfig.engine,
+    "segmenter": TaskConfig.segmenter,
+}
 """What of the task earlier versions had not, and how it was then."""
 
 

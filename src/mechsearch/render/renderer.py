@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.objects.model import ObjectModel
-from mechsearch.render.visibility import NO_HIT, PixelBlock, Projection, View, body_of, occlusion
+from mechsearch.render.visibility import (
+    LIGHT,
+    NO_HIT,
+    PixelBlock,
+    Projection,
+    View,
+    body_of,
+    occlusion,
+)
 from mechsearch.types import Array, Floats, MechSearchError
 
 BACKGROUND = -1
@@ -95,7 +103,11 @@ class _Seen:
 
 
 class Renderer:
-    """Renders heaps of a fixed list of objects over a table at height 0."""
+    """Renders heaps of a fixed list of objects over a table at height 0.
+
+    Attributes:
+        light: Direction (3,) towards the light, of length 1, in which colours are shaded.
+    """
 
     def __init__(
         self,
@@ -117,6 +129,7 @@ class Renderer:
         self._all = (*self.bodies, self._pusher) if self._pusher else (*self.bodies,)
         self._table_half = table_half
         self._floor = floor
+        self.light: Floats = LIGHT
         self._seen: dict[Camera, _Seen] = {}
         self._projections: dict[tuple[float, ...], Projection] = {}
 
@@ -232,7 +245,7 @@ class Renderer:
             index = len(self.bodies) if identity == PUSHER else identity
             start, rotation = seen.projection.starts[index], seen.projection.rotations[index]
             pixels = ids == identity
-            rgb[pixels] = self._all[index].colours(start, seen.rays[pixels], rotation)
+            rgb[pixels] = self._all[index].colours(start, seen.rays[pixels], rotation, self.light)
         return rgb
 
     def _background(

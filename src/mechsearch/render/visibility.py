@@ -19,7 +19,9 @@ from mechsearch.types import Array, Floats
 NO_HIT = 1e30
 """Distances above this met nothing."""
 
-_LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
+LIGHT = np.array([0.35, -0.25, 0.9]) / np.linalg.norm([0.35, -0.25, 0.9])
+"""Direction (3,) towards the light."""
+
 _ENDS, _BEYOND = np.array([1.0, -1.0, 1.0, -1.0]), np.array([0.0, 1.0, 0.0, 1.0])
 
 _NEAREST = 0.01
@@ -66,11 +68,15 @@ class Body:
         return found
 
     def colours(
-        self, start: Array, directions: Array, rotation: NDArray[np.float32]
+        self,
+        start: Array,
+        directions: Array,
+        rotation: NDArray[np.float32],
+        light: Floats = LIGHT,
     ) -> NDArray[np.uint8]:
         """Return the shaded colour (K, 3) where rays, all of which meet the object, do so first.
 
-        Arguments are those of `depths`.
+        Arguments are those of `depths`, and the direction (3,) towards the light.
         """
         hit = self._scene.run(*_moved_into(start, directions, rotation), output=1)
         triangle = hit["primID"]
@@ -79,7 +85,7 @@ class Body:
         j = np.clip((hit["v"] * n).astype(np.intp), 0, n - 1 - i)
         base = self._texels[triangle, i * n - i * (i - 1) // 2 + j]
         normals = self._normals[triangle] @ rotation.T
-        shade = 0.55 + 0.45 * np.abs(normals @ _LIGHT)
+        shade = 0.55 + 0.45 * np.abs(normals @ light)
         return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
 
 

@@ -1,0 +1,133 @@
+"""The segmentation network: what it reads, and what must not matter."""
+
+import copy
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import mechsearch.segmentation.network as own
+from mechsearch.camera import Camera, look_at, preset
+from mechsearch.segmentation.images import ImageConfig, see_heaps
+from mechsearch.segmentation.judging import found_by, partly_hidden
+from mechsearch.segmentation.network import (
+    NetworkSegmenter,
+    SegmentationNetwork,
+    image_channels,
+    load_segmentation_network,
+    mask_features,
+    network_segmenter,
+    save_segmentation_network,
+)
+from mechsearch.segmentation.reference import render_references
+from mechsearch.types import MechSearchError
+
+SHIPPED = Path(own.__file__).with_name("segmentation.safetensors")
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    torch.manual_seed(0)
+    return SegmentationNetwork().eval()
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rng = np.random.default_rng(0)
+    depth = np.full((128, 128), 1.0, np.float32)
+    depth[40:60, 50:90] = 0.9
+    return rng.integers(0, 255, (128, 128, 3)).astype(np.uint8), depth, preset("overhead", 128)
+
+
+def test_what_is_read_of_an_image():
+    camera = Camera(2, 1, 100.0, 100.0, 0.0, 0.0, look_at((0, 0, 1.0), (0, 0, 0), (0, 1, 0)))
+    rgb = np.array([[[255, 0, 51], [0, 0, 0]]], np.uint8)
+    found = image_channels(rgb, np.array([[0.9, 0.0]], np.float32), camera)
+    np.testing.assert_allclose(found[:3, 0, 0], [0.5, -0.5, -0.3], atol=1e-6)
+    # 10 cm over the table, nothing where there is a hole, and 9 mm a pixel.
+    np.testing.assert_allclose(found[3, 0], [1.0, 0.0], atol=1e-6)
+    np.testing.assert_array_equal(found[4, 0], [0, 1])
+    assert found[5, 0, 0] == pytest.approx(np.log(0.009 / 0.0054), abs=1e-6)
+
+
+def test_the_order_of_views_does_not_matter(fresh, scene, make_box):
+    views = render_references(make_box("box", (0.1, 0.05, 0.03)))
+    order = np.random.default_rng(1).permutation(len(views.rgb))
+    turned = type(views)(views.rgb[order], views.mask[order], views.width[order])
+    segmenter, found = NetworkSegmenter(fresh, (1.0, 0.0, 0.0)), []
+    for references in (views, turned):
+        segmenter.look_for(references)
+        found.append(segmenter.logits(*scene))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-4)
+
+
+def test_images_of_other_sizes_give_masks_of_theirs(fresh, scene, make_box):
+    segmenter = NetworkSegmenter(fresh, (1.0, 0.0, 0.0))
+    segmenter.look_for(render_references(make_box("box", (0.1, 0.05, 0.03))))
+    rgb, depth, camera = scene
+    large = segmenter.logits(rgb.repeat(3, 0).repeat(3, 1), depth.repeat(3, 0).repeat(3, 1),
+                             camera.resized(384))  # fmt: skip
+    np.testing.assert_allclose(large[1::3, 1::3], segmenter.logits(*scene), atol=2e-2)
+    wide = segmenter.segment(rgb[:64], depth[:64], camera.resized(64, 128))
+    assert wide[0].shape == (64, 128)
+
+
+def test_confidence_is_the_logistic_of_its_features(fresh):
+    logits = np.full((8, 8), -30.0)
+    assert mask_features(logits).tolist() == [-6.0, 0.0]
+    logits[:2, :2] = np.log(3)
+    # Four pixels of chance 3 / 4 and nothing elsewhere: expected IoU 3 / 4.
+    np.testing.assert_allclose(mask_features(logits), [np.log(3), np.log(4)])
+
+
+def test_a_segmenter_without_views_is_refused(fresh, scene):
+    with pytest.raises(MechSearchError, match="call look_for first"):
+        NetworkSegmenter(fresh, (1.0, 0.0, 0.0)).segment(*scene)
+
+
+def test_a_network_is_read_back_in_16_bits_and_a_damaged_one_refused(fresh, tmp_path):
+    file = tmp_path / "network.safetensors"
+    save_segmentation_network(file, fresh, (1.0, 2.0, 3.0), {})
+    network, confidence = load_segmentation_network(file)
+    assert confidence == (1.0, 2.0, 3.0)
+    for name, tensor in network.state_dict().items():
+        torch.testing.assert_close(tensor, fresh.state_dict()[name], atol=2e-3, rtol=1e-3)
+    data = bytearray(file.read_bytes())
+    data[-9] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(MechSearchError, match="damaged"):
+        load_segmentation_network(file)
+
+
+def test_the_shipped_network_is_the_one_of_its_card_and_small():
+    card = json.loads(SHIPPED.with_suffix(".json").read_text())
+    assert card["sha256"] == hashlib.sha256(SHIPPED.read_bytes()).hexdigest()
+    assert SHIPPED.stat().st_size < 2.3e6
+
+
+def test_the_shipped_network_finds_targets_that_it_never_saw_as_such():
+    config = ImageConfig(
+        1, "all", 24, ("stereo",), randomised=False, also=(), variants=0, without=()
+    )
+    seen = see_heaps(Path("household-single"), "", config)
+    found = found_by(network_segmenter(), seen, partly_hidden(seen.images))
+    assert len(found.iou) >= 20
+    # A heap has 5, 10 or 15 objects, so that guesses would be right in 12 %.
+    assert found.right.mean() > 0.5
+    assert found.summary["iou"] > 0.45
+    # What it is sure of is right more often than what it is not.
+    sure = found.confidence >= np.median(found.confidence)
+    assert found.iou[sure].mean() > found.iou[~sure].mean()
+
+
+def test_a_raised_bound_lowers_all_logits(fresh, scene, make_box):
+    network, found = copy.deepcopy(fresh), []
+    for bound in (0.0, 1.5):
+        network.raise_bound(bound)
+        segmenter = NetworkSegmenter(network, (1.0, 0.0, 0.0))
+        segmenter.look_for(render_references(make_box("box", (0.1, 0.05, 0.03))))
+        found.append(segmenter.logits(*scene))
+    np.testing.assert_allclose(found[0] - found[1], 1.5, atol=1e-4)
