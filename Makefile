@@ -91,7 +91,7 @@ $(READY): requirements.txt pyproject.toml
 # Versions and hashes of everything, for all supported Pythons.
 lock: $(READY)
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
-		--all-extras --group dev --output-file requirements.txt pyproject.toml
+		--all-extras --group dev --group arms --output-file requirements.txt pyproject.toml
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --no-annotate --python-version 3.11 \
 		--group docs --constraints requirements.txt --output-file docs/requirements.txt \
 		$$(sed -n 's/^\([a-z0-9_.-]*\)==.*/--no-emit-package \1/p' requirements.txt)

@@ -102,8 +102,13 @@ EXTRAS = {
     "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
     "export": ("ONNX's writer", "onnxscript"), "robot": ("ONNX Runtime and rosbags", "onnxruntime"),
     "bullet": ("PyBullet", "pybullet"),
+    "arms": ("mink", "mink"),
 }  # fmt: skip
 """What each optional part of an installation brings: its name, and a module of it."""
+
+_ALONE = {"arms": "pip install --no-deps mink qpsolvers daqp"}
+"""How parts are installed that ask for another build of the physics engine, which would overwrite
+the one that is there."""
 
 
 def check_extra(what: str, extra: str) -> None:
@@ -117,11 +122,13 @@ def check_extra(what: str, extra: str) -> None:
         MechSearchError: Saying how to install it.
     """
     name, module = EXTRAS[extra]
-    if importlib.util.find_spec(module) is None:
-        raise MechSearchError(
-            f"{what} needs {name}: install it by `pip install '.[{extra}]'` in the folder of "
-            "mechsearch's pyproject.toml"
-        )
+    if importlib.util.find_spec(module) is not None:
+        return
+    command = _ALONE.get(extra)
+    how = f"`{command}`" if command else (
+        f"`pip install '.[{extra}]'` in the folder of mechsearch's pyproject.toml"
+    )  # fmt: skip
+    raise MechSearchError(f"{what} needs {name}: install it by {how}")
 
 
 @runtime_checkable

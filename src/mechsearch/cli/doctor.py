@@ -28,6 +28,7 @@ _NEEDED_BY = {
     "video": "an MP4 film (a GIF does not)",
     "export": "`mechsearch export`",
     "robot": "an exported policy, or a recorded bag,",
+    "arms": "an episode on a robot arm",
 }
 _ACTIONS = 10
 

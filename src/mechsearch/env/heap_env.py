@@ -16,8 +16,8 @@ from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.sim import HeapWorld, heap_world, pusher_model
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.sim import FREE, ArmWorld, HeapWorld, arm_named, heap_world, pusher_model
+from mechsearch.types import Array, Floats, MechSearchError, check_extra
 
 
 class HeapEnv(SceneEnv[HeapWorld]):
@@ -28,7 +28,8 @@ class HeapEnv(SceneEnv[HeapWorld]):
     `info` holds `reward_terms`, `occlusion`, `end` (None while the episode goes on, else
     "uncovered", "action limit", "lost" or "failure: ..."), `failure` (a simulator failure's name or
     None: such a transition must not be learnt from), `clutter_moved` (mean displacement of the
-    non-target objects in this action [m]) and `target_moved` [m].
+    non-target objects in this action [m]) and `target_moved` [m]. Where an arm pushes, there are
+    also `refused`, the reason for which it did not move or None, and `motion`, a `sim.Motion`.
     """
 
     def __init__(
@@ -48,10 +49,12 @@ class HeapEnv(SceneEnv[HeapWorld]):
 
         Raises:
             MechSearchError: If there is no heap, one names an unknown object, the reward's function
-                is no good, or `config` or `render_mode` is none.
+                is no good, `config` or `render_mode` is none, or what an arm needs is missing.
         """
         self.config = HeapEnvConfig() if config is None else config
         super().__init__(self.config, HeapEnvConfig, render_mode)
+        if self.config.robot != FREE:
+            check_extra(f"robot {self.config.robot!r}", "arms")
         self._scene = HeapScene(
             heaps, objects, self.config, self.config.all_keys, self._world_of,
             pusher_model(self.config.pusher),
@@ -129,7 +132,9 @@ class HeapEnv(SceneEnv[HeapWorld]):
         return self._scene.observe(self._actions)
 
     def _world_of(self, models: Sequence[ObjectModel]) -> HeapWorld:
-        config = self.config
+        config, arm = self.config, arm_named(self.config.robot)
+        if arm is not None:
+            return ArmWorld(models, arm, config.workspace, config.pusher, config.physics)
         return heap_world(config.engine, models, config.workspace, config.pusher, config.physics)
 
     def _result(
@@ -150,6 +155,8 @@ class HeapEnv(SceneEnv[HeapWorld]):
             "clutter_moved": float(clutter.sum()) / max(len(clutter), 1),
             "target_moved": target_moved,
         }
+        if scene.world.motion is not None:
+            info |= {"refused": scene.world.motion.refusal, "motion": scene.world.motion}
         truncated = self._over and not terminated
         return (
             scene.observe(self._actions),

@@ -12,7 +12,15 @@ from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
 from mechsearch.observe.sensor import Sensor, sensor_named
 from mechsearch.segmentation.segmenter import TRUE, TargetFinder, check_segmenter
-from mechsearch.sim import ENGINES, PhysicsConfig, Pusher, Workspace, gripper_named
+from mechsearch.sim import (
+    ENGINES,
+    FREE,
+    PhysicsConfig,
+    Pusher,
+    Workspace,
+    arm_named,
+    gripper_named,
+)
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 
 _LEAST = {
@@ -53,6 +61,8 @@ class TaskConfig:
         pusher: The end effector.
         engine: What computes the physics: "mujoco", or "bullet" for pushes alone, which takes of
             `physics` the times of an action and what counts as a failure.
+        robot: What moves it: "free", nothing that is seen or met; "ur5e" or "panda", an arm that
+            refuses what it cannot do, and takes as long as it needs.
     """
 
     camera: str = "overhead"
@@ -67,12 +77,14 @@ class TaskConfig:
     workspace: Workspace = field(default_factory=Workspace)
     pusher: Pusher = field(default_factory=Pusher)
     engine: str = ENGINES[0]
+    robot: str = FREE
 
     def __post_init__(self) -> None:
         check_kinds(self)
         preset(self.camera, self.image_size)
         sensor_named(self.sensor)
         check_segmenter(self.segmenter)
+        arm_named(self.robot)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
         least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
         bounds = {"workspace.high": workspace.low, "pusher.length": 2 * pusher.radius}
@@ -94,6 +106,10 @@ class TaskConfig:
                 f"unknown engine {self.engine!r}; choose one of {', '.join(ENGINES)}"
             )
         if self.engine != ENGINES[0]:
+            if self.robot != FREE:
+                raise MechSearchError(
+                    f"robot is {self.robot!r}; expected {FREE!r}, as {self.engine} moves no arm"
+                )
             for name in _OF_MUJOCO:
                 usual = attrgetter(name)(TaskConfig())
                 rules.append((name, at(name) == usual, f"{usual}, {self.engine} has its own"))
@@ -203,6 +219,10 @@ class RetrievalTask(TaskConfig):
             raise MechSearchError(
                 f"segmenter is {self.segmenter!r}; grasps are planned on masks of all objects, "
                 f"which only {TRUE!r} has"
+            )
+        if self.robot != FREE:
+            raise MechSearchError(
+                f"robot is {self.robot!r}; expected {FREE!r}: in retrieval grippers have no arm"
             )
         if self.pusher != Pusher():
             raise MechSearchError(

@@ -401,6 +401,7 @@ _LATER = {
     "sensor": TaskConfig.sensor,
     "engine": TaskConfig.engine,
     "segmenter": TaskConfig.segmenter,
+    "robot": TaskConfig.robot,
 }
 """What of the task earlier versions had not, and how it was then."""
 

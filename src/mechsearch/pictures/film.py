@@ -2,12 +2,13 @@
 
 Poses are rendered again, so a picture of any size can be made from the record alone. In retrieval
 the gripper is in the picture while it grasps: open, where it was to close (`recorded`), or all the
-way where the decisions are carried out again (`pictures.replay`). Films are GIF with Pillow alone,
+way where the decisions are carried out again (`pictures.replay`). An arm is in a film as inverse
+kinematics places it where the tip has been. Films are GIF with Pillow alone,
 or MP4 with the `video` extra.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,16 @@ from mechsearch.files import check_place, write_whole
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import SMOOTHING, captioned, check_side, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim import AnyGripper, Pusher, gripper_named, open_parts, pusher_model
+from mechsearch.sim import (
+    FREE,
+    AnyGripper,
+    Pusher,
+    arm_named,
+    gripper_named,
+    open_parts,
+    pusher_model,
+    shown_at,
+)
 from mechsearch.types import (
     DECISION_NAMES,
     PUSH,
@@ -51,8 +61,8 @@ class Moment:
         step: Actions carried out so far.
         poses: Of all objects (N, 7).
         words: What happens.
-        parts: Poses (P, 7) of the rendered parts of all grippers while one grasps; None while the
-            closed one pushes, or waits.
+        parts: Poses (P, 7) of the rendered parts of an arm and its tool, or of all grippers while
+            one grasps; None while the closed one pushes, or waits.
         detail: From which on a filmstrip shows it: 0 what came of actions, `PHASES` in turn, and
             above these films alone.
     """
@@ -243,8 +253,10 @@ class Film:
         self.pusher = pusher
         self._renderer = Renderer(self.bodies, pusher)
         size = config.size * SMOOTHING
-        of_lifts = record.retrieval and not config.camera
-        self._camera = _lift_view(size) if of_lifts else preset(config.camera or "overhead", size)
+        if config.camera or not (record.retrieval or parts):
+            self._camera = preset(config.camera or "overhead", size)
+        else:
+            self._camera = _side_view(size, with_arm=record.retrieval is None)
 
     @property
     def last(self) -> int:
@@ -300,6 +312,13 @@ def film_of(
     Raises:
         MechSearchError: If an object of the episode is not among the models.
     """
+    arm = arm_named(header["env"].get("robot", FREE)) if robot else None
+    if arm is not None:
+        parts, places = shown_at(arm, Pusher(), record.ee_positions)
+        moments = [
+            replace(at, parts=place) for at, place in zip(pushed(record), places, strict=True)
+        ]
+        return Film(record, models, config, None, moments, parts)
     if record.retrieval is None:
         return Film(record, models, config, pusher_model(Pusher()) if robot else None)
     hands = Hands(header)
@@ -307,14 +326,13 @@ def film_of(
     return Film(record, models, config, pusher, play(header, record, models), hands.models)
 
 
-def _lift_view(size: int) -> Camera:
-    """Return a view from the side, wide enough for tall objects in the gripper."""
-    pose, centre, focal = (
-        look_at((0.0, -0.62, 0.62), (0.0, 0.0, 0.1), (0, 0, 1)),
-        (size - 1) / 2,
-        1.4 * size,
-    )
-    return Camera(size, size, focal, focal, centre, centre, pose)
+def _side_view(size: int, with_arm: bool = False) -> Camera:
+    """Return a view from the side, wide enough for tall objects in the gripper, or for an arm."""
+    eye, target = ((0.0, -0.62, 0.62), (0.0, 0.0, 0.1))
+    if with_arm:
+        eye, target = ((0.3, -1.35, 1.0), (-0.15, 0.0, 0.28))
+    centre, focal = (size - 1) / 2, 1.4 * size
+    return Camera(size, size, focal, focal, centre, centre, look_at(eye, target, (0, 0, 1)))
 
 
 def path_at(record: EpisodeRecord, moment: Moment) -> list[Floats]:

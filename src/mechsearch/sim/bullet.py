@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from mechsearch.geometry import quaternion_product, rotation_from_quaternion
 from mechsearch.objects.model import FRICTION, ObjectModel
+from mechsearch.sim.arm import Motion
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
 from mechsearch.sim.world import runaway, settle
 from mechsearch.types import Array, Floats, MechSearchError
@@ -51,8 +52,11 @@ class BulletWorld:
         client: Of PyBullet.
         bodies: Of the objects, in their order.
         effector: Body of the pusher; -1 without one.
+        motion: None: no arm pushes.
         close: Forgets the scene, as happens when the world is forgotten.
     """
+
+    motion: Motion | None = None
 
     def __init__(
         self,

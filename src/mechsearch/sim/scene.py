@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.arm import WITH_ARM, Arm, add_arm
 from mechsearch.sim.gripper import (
     AnyGripper,
     Cylinder,
@@ -210,8 +211,12 @@ def compile_scene(
     config: PhysicsConfig,
     gripper: Gripper | None = None,
     travelling: Sequence[AnyGripper] = (),
+    arm: Arm | None = None,
 ) -> mujoco.MjModel:
-    """Return the engine's model: the objects' free joints first, then the robot's slides."""
+    """Return the engine's model: the objects' free joints first, then the robot's own.
+
+    A pusher slides along three axes, or is held by an arm.
+    """
     spec = mujoco.MjSpec()
     option = spec.option
     option.timestep = config.time_step
@@ -226,7 +231,9 @@ def compile_scene(
     for i, model in enumerate(models):
         _add_object(spec, i, model)
     _add_table(spec, workspace)
-    if pusher is not None:
+    if pusher is not None and arm is not None:
+        _add_tool(add_arm(spec, arm, AMONG_OBJECTS, WITH_TABLE), pusher)
+    elif pusher is not None:
         _add_pusher(spec, pusher)
     if gripper is not None:
         add_gripper(spec, gripper, AMONG_OBJECTS, WITH_TABLE)
@@ -317,6 +324,22 @@ def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
         servo = add_servo(spec, name, pusher.stiffness, pusher.mass, limits)
         # An integrated-velocity servo: its set point moves at the commanded velocity.
         servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    _add_fingers(body, pusher, AMONG_OBJECTS)
+
+
+def _add_tool(flange: mujoco.MjsBody, pusher: Pusher) -> None:
+    """Put the pusher into an arm's hand, its z axis back to the flange."""
+    body = flange.add_body()
+    body.name = "pusher"
+    body.pos = [0.0, 0.0, pusher.length]
+    body.quat = [0.0, 1.0, 0.0, 0.0]
+    # Unlike the free one it can be pressed onto the table.
+    _add_fingers(body, pusher, AMONG_OBJECTS | WITH_TABLE | WITH_ARM).mass = pusher.mass
+    tip = body.add_site()
+    tip.name = "tip"
+
+
+def _add_fingers(body: mujoco.MjsBody, pusher: Pusher, kind: int) -> mujoco.MjsGeom:
     geom = body.add_geom()
     geom.name = "pusher"
     geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -324,7 +347,8 @@ def _add_pusher(spec: mujoco.MjSpec, pusher: Pusher) -> None:
     geom.size = [pusher.radius, 0, 0]
     geom.friction = [pusher.friction, 0.005, 0.0001]
     geom.condim = SLIDING_AND_SPINNING
-    geom.contype, geom.conaffinity = AMONG_OBJECTS, AMONG_OBJECTS
+    geom.contype, geom.conaffinity = kind, AMONG_OBJECTS
+    return geom
 
 
 def _add_wall(spec: mujoco.MjSpec, index: int, wall: Wall, sides: int = 16) -> None:

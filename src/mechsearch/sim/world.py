@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.arm import Arm, Motion
 from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
@@ -46,6 +47,9 @@ class HeapWorld(Protocol):
 
     workspace: Workspace
     """Table and bounds."""
+
+    motion: Motion | None
+    """What the last push was where an arm pushes; None for a free pusher."""
 
     @property
     def poses(self) -> Floats:
@@ -100,7 +104,13 @@ class HeapWorld(Protocol):
 
 
 class World:
-    """Objects on a table, and a pusher or a confining wall."""
+    """Objects on a table, and a pusher or a confining wall.
+
+    Attributes:
+        motion: What the last push was where an arm pushes; None for a free pusher.
+    """
+
+    motion: Motion | None = None
 
     def __init__(
         self,
@@ -110,6 +120,7 @@ class World:
         walls: Sequence[Wall] = (),
         config: PhysicsConfig | None = None,
         grippers: Sequence[AnyGripper] = (),
+        arm: Arm | None = None,
     ) -> None:
         """Compile a scene.
 
@@ -120,6 +131,7 @@ class World:
             walls: Confining walls.
             config: Numerical choices.
             grippers: Travelling ones in place of a pusher: the first pushes, its jaws closed.
+            arm: What holds the pusher; None leaves it free.
         """
         self.config = config or PhysicsConfig()
         self.workspace = workspace or Workspace()
@@ -127,7 +139,7 @@ class World:
         self._pusher: Pusher | AnyGripper | None = grippers[0] if grippers else pusher
         self._outlines = Outlines([model.parts for model in models])
         self._model = compile_scene(
-            models, self.workspace, pusher, walls, self.config, travelling=grippers
+            models, self.workspace, pusher, walls, self.config, travelling=grippers, arm=arm
         )
         self._data = mujoco.MjData(self._model)
         reset_data(self._model, self._data)

@@ -1,0 +1,199 @@
+"""A heap and an arm that pushes with its closed fingers."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from mechsearch.objects.model import ObjectModel
+from mechsearch.sim.arm import Arm, Motion
+from mechsearch.sim.motion import kinematics_of
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
+from mechsearch.sim.world import World
+from mechsearch.types import Array, Floats
+
+_FREQUENCY = 25.0
+"""Natural, of how the arm is damped and keeps its posture [rad/s]."""
+
+_TURNING_STIFFNESS = 150.0
+"""With which the tool is held straight [N m/rad]."""
+
+_MEETINGS = {
+    frozenset({"link", "heap"}): "heap",
+    frozenset({"link", "table"}): "table",
+    frozenset({"link"}): "itself",
+    frozenset({"link", "tool"}): "itself",
+}
+"""What touches what, and how it is called."""
+
+_GREY = 182
+
+_SETTLED = 4
+"""Steps between two looks whether an action is over early."""
+
+
+class ArmWorld(World):
+    """Objects on a table, and an arm that holds the pusher straight down, its yaw free.
+
+    Its control gives way like the free pusher's: at the tip it acts as a spring of the same
+    stiffness, which presses no harder along each axis, beside what carries and speeds up the arm
+    itself. Joints and their velocities are part of the engine's state, and control has none of its
+    own: a snapshot taken between actions has all that the next one depends on.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[ObjectModel],
+        arm: Arm,
+        workspace: Workspace | None = None,
+        pusher: Pusher | None = None,
+        config: PhysicsConfig | None = None,
+    ) -> None:
+        """Compile a scene.
+
+        Args:
+            models: The objects, in the order of all poses.
+            arm: The arm.
+            workspace: Table and bounds.
+            pusher: The tool.
+            config: Numerical choices.
+
+        Raises:
+            MechSearchError: If the library for inverse kinematics is not there.
+        """
+        tool = pusher or Pusher()
+        self._kinematics = kinematics_of(arm, tool)
+        super().__init__(models, workspace, tool, (), config, (), arm)
+        self.arm, self._tool, self.motion = arm, tool, None
+        self._angles: Floats = self._qpos[7 * self.count :]
+        self._speeds: Floats = self._qvel[6 * self.count :]
+        self._low, self._high = arm.of_joints("low"), arm.of_joints("high")
+        self._limits = arm.of_joints("velocity"), arm.of_joints("torque")
+        self._stiffness = np.repeat([tool.stiffness, _TURNING_STIFFNESS], 3)
+        model, first = self._model, int(self._robot_geoms[0])
+        self._kinds = np.where(np.arange(model.ngeom) >= first, "link", "heap")
+        self._kinds[model.geom("table").id] = "table"
+        self._kinds[model.geom("pusher").id] = "tool"
+        self._is_away, self._watch = True, _Watch(len(self._angles))
+
+    @property
+    def pusher_position(self) -> Floats:
+        """Position (3,) of the fingertip [m]."""
+        return self._kinematics.position(self._angles)
+
+    def place_pusher(self, position: Array) -> None:
+        """Put the arm at rest with the tip at a position (3,) [m], or at home if it cannot."""
+        found = self._kinematics.inverse(position)
+        self._is_away = isinstance(found, str) or self._kinematics.refusal(found) is not None
+        self._angles[:] = self.arm.home if self._is_away else found
+        self._speeds[:] = 0.0
+
+    def pusher_is_free(self) -> bool:
+        """Return whether the arm is where it was last placed, and touches nothing there."""
+        return not self._is_away and super().pusher_is_free()
+
+    def step(self, steps: int) -> None:
+        """Advance by a number of time steps, the arm holding still."""
+        held, still = self._angles.copy(), np.zeros(len(self._angles))
+        for _ in range(steps):
+            self._drive(held, still, still)
+
+    def push(self, target: Array) -> bool:
+        """Move the tip straight towards `target` (3,) [m], as fast as the arm's limits allow.
+
+        All of it is checked before it begins; `motion` tells what was refused or done.
+
+        Returns:
+            Whether anything was simulated; a refusal moves nothing.
+        """
+        config, nothing = self.config, np.zeros(len(self._angles))
+        plan = self._kinematics.plan(self._angles, target, config.time_step, config.action_steps)
+        if isinstance(plan, str):
+            self.motion = Motion(plan, 0.0, nothing, nothing, self._margin())
+            return False
+        self._watch = watch = _Watch(len(nothing))
+        steps = len(plan.angles) + config.rest_steps
+        ends = self._data.time + steps * config.time_step
+        self._wake()
+        for moment in zip(plan.angles, plan.velocities, plan.accelerations, strict=True):
+            self._drive(*moment)
+        for step in range(config.rest_steps):
+            if config.stops_when_still and step % _SETTLED == 0 and self._lies_still():
+                break
+            self._drive(plan.angles[-1], nothing, nothing)
+        self._data.time = ends
+        fastest, strongest = self._limits
+        self.motion = Motion(
+            None, steps * config.time_step, watch.speeds / fastest, watch.torques / strongest,
+            watch.margin, tuple(sorted(watch.touched)),
+        )  # fmt: skip
+        return True
+
+    def _drive(self, angles: Floats, velocities: Floats, accelerations: Floats) -> None:
+        """Advance one step towards a point of a plan."""
+        wanted = self._kinematics.dynamics(angles, velocities)
+        now = self._kinematics.dynamics(self._angles, self._speeds)
+        lag, slip = angles - self._angles, velocities - self._speeds
+        turn = np.cross(now.rotation, wanted.rotation, axis=0).sum(axis=1) / 2
+        error = np.concatenate([wanted.position - now.position, turn])
+        loose = np.linalg.solve(now.inertia, now.jacobian.T)
+        mass = np.linalg.inv(now.jacobian @ loose + 1e-6 * np.eye(6))
+        force = self._stiffness * error + 2 * _FREQUENCY * mass @ (now.jacobian @ slip)
+        force[:3] = np.clip(force[:3], -self._tool.force, self._tool.force)
+        # What moves no tip: an arm of more joints than it needs keeps its posture by it.
+        posture = now.inertia @ (_FREQUENCY**2 * lag + 2 * _FREQUENCY * slip)
+        posture -= now.jacobian.T @ (mass @ (loose.T @ posture))
+        torque = now.bias + now.inertia @ accelerations + now.jacobian.T @ force + posture
+        self._data.ctrl[:] = torque
+        mujoco.mj_step(self._model, self._data)
+        self._watch.note(self._speeds, torque, self._margin(), self._touches())
+
+    def _margin(self) -> float:
+        return float(np.minimum(self._angles - self._low, self._high - self._angles).min())
+
+    def _touches(self) -> set[str]:
+        """Return what links touched in the last computed step."""
+        pairs = self._data.contact.geom[: self._data.ncon]
+        own = pairs[(pairs >= self._robot_geoms[0]).any(axis=1)]
+        meetings = {frozenset(pair) for pair in self._kinds[own].tolist()}
+        return {_MEETINGS[pair] for pair in meetings if pair in _MEETINGS}
+
+
+class _Watch:
+    """What the limits of an arm are held against, over one action."""
+
+    def __init__(self, joints: int) -> None:
+        self.speeds, self.torques = np.zeros((2, joints))
+        self.margin, self.touched = np.inf, set[str]()
+
+    def note(self, speeds: Floats, torques: Floats, margin: float, touched: set[str]) -> None:
+        """Take one step."""
+        self.speeds = np.maximum(self.speeds, np.abs(speeds))
+        self.torques = np.maximum(self.torques, np.abs(torques))
+        self.margin = min(self.margin, margin)
+        self.touched |= touched
+
+
+def shown_at(arm: Arm, pusher: Pusher, positions: Floats) -> tuple[list[ObjectModel], Floats]:
+    """Return what there is to draw of an arm and its tool, and where it is.
+
+    Args:
+        arm: The arm.
+        pusher: Its tool.
+        positions: Of the tip (T, 3) [m], where the arm has been.
+
+    Returns:
+        The P parts, and their poses (T, P, 7).
+
+    Raises:
+        MechSearchError: If the library for inverse kinematics is not there.
+    """
+    kinematics, angles, poses = kinematics_of(arm, pusher), np.array(arm.home), []
+    for position in positions:
+        found = kinematics.inverse(position, angles)
+        angles = angles if isinstance(found, str) else found
+        poses.append(kinematics.poses(angles))
+    models = [pusher_model(Pusher(radius, length)) for radius, length in kinematics.sizes]
+    links = [replace(link, texels=np.full_like(link.texels, _GREY)) for link in models[:-1]]
+    return [*links, models[-1]], np.array(poses)
