@@ -40,7 +40,7 @@ def test_a_sweep_s_folder_becomes_a_page_a_pdf_drawings_and_numbers(
     assert {row["verdict"] for row in rows} >= {"holds", "not measured"}
     said = capsys.readouterr()
     assert "not measured: The teachers are essential." in said.out
-    assert said.err == ""
+    assert {line.split("  ")[0].split(",")[0] for line in said.err.splitlines()} == {"report"}
 
 
 def test_a_pdf_goes_where_it_is_asked_for(folder: Path, tmp_path: Path) -> None:
