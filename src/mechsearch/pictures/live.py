@@ -53,8 +53,8 @@ OTHERS = ("teacher-spiral", "teacher-zigzag", "teacher-straight", "look-ahead", 
 _NEAR, _STUCK = 0.01, 0.003
 """Distance at which a click counts as reached [m], and way of an action that gets nowhere [m]."""
 
-_TALL = 0.2
-"""Height above the table that is white in an image of depth [m]."""
+_TALL = 0.12
+"""Height above the table from which all is white in an image of depth [m]."""
 
 _TARGET = 1
 """Segment of the target."""
