@@ -10,8 +10,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import tyro
 
-from mechsearch.evaluation.episodes import Evaluation
-from mechsearch.evaluation.rollout import load_some
+from mechsearch.evaluation.rollout import Evaluation, load_some
 from mechsearch.files import check_place, write_whole
 from mechsearch.findings.tables import Table, to_text
 from mechsearch.heaps.dataset import recorded_objects

@@ -10,11 +10,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import Command, say, say_table
+from mechsearch.cli.command import Command, check_extra, say, say_table
 from mechsearch.files import CONFIG_FILE, PLAN_FILE, PROGRESS_FILE, locked, read_json
 from mechsearch.findings.experiment import EVALUATIONS, Run, read_run
 from mechsearch.findings.tables import DISPLAYS, number
-from mechsearch.types import check_extra
 
 
 @dataclass(frozen=True)

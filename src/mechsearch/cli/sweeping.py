@@ -7,14 +7,13 @@ from typing import Annotated, Any
 
 import tyro
 
-from mechsearch.cli.command import Spread, say, wrote
+from mechsearch.cli.command import Spread, say, say_table, wrote
 from mechsearch.cli.overrides import optional, overridden
 from mechsearch.cli.status import run_status
 from mechsearch.env import TaskConfig
 from mechsearch.experiments.folder import SweepFolder
 from mechsearch.experiments.plan import QUICK, SweepPlan, described, read_plan
 from mechsearch.experiments.sweep import DONE, RUNNING, STATES, SweepStatus, carry_out, status_of
-from mechsearch.findings.tables import Table, to_text
 from mechsearch.retrieval.assessment import assessor
 
 _PlanOptions: Any = optional(SweepPlan, ("task",))
@@ -55,7 +54,7 @@ class Sweep(Spread):
         begun = folder.plan.exists() and not self.quick
         base = read_plan(folder) if begun else QUICK if self.quick else SweepPlan()
         plan = overridden(base, self.plan)
-        say(to_text(Table(f"The sweep in {self.out}", ("what", "value"), tuple(described(plan)))))
+        say_table(f"The sweep in {self.out}", ("what", "value"), described(plan))
         # A network that is no good is refused before hours of work rather than after them.
         network = Path(plan.grasp_network) if plan.grasp_network else None
         grasp = assessor(network) if plan.grasps else None
@@ -102,7 +101,7 @@ def _report(found: SweepStatus) -> None:
     kinds = list(dict.fromkeys(one.job.kind for one in found.jobs))
     rows = [(kind, *(str(found.count(state, kind)) for state in STATES)) for kind in kinds]
     rows.append(("all", *(str(found.count(state)) for state in STATES)))
-    say(to_text(Table(found.line, ("jobs", *STATES), tuple(rows))))
+    say_table(found.line, ("jobs", *STATES), rows)
     for one in found.jobs:
         if one.reason:
             say(f"{one.state}: {one.job.name}: {' '.join(one.reason.split())}")

@@ -29,7 +29,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
     "uncovered", "action limit", "lost" or "failure: ..."), `failure` (a simulator failure's name or
     None: such a transition must not be learnt from), `clutter_moved` (mean displacement of the
     non-target objects in this action [m]) and `target_moved` [m]. Where an arm pushes, there are
-    also `refused`, the reason for which it did not move or None, and `motion`, a `sim.Motion`.
+    also `refused`, the reason for which it did not move or None, and `motion`, a `sim.ArmMotion`.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ def shown_task(header: Mapping[str, Any]) -> HeapEnvConfig:
     return replace(task, keys=keys, privileged=False)
 
 
-def camera_of(header: Mapping[str, Any]) -> Camera:
+def recorded_camera(header: Mapping[str, Any]) -> Camera:
     """Return the camera of an evaluation's images."""
     task = shown_task(header)
     return preset(task.camera, task.image_size)

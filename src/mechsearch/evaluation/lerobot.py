@@ -17,10 +17,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from mechsearch.evaluation.frames import Frames, camera_of
+from mechsearch.evaluation.frames import Frames, recorded_camera
 from mechsearch.types import Array
 
-VERSION = "v3.0"
+LEROBOT_VERSION = "v3.0"
 """Of the format."""
 
 _CHUNK, _FILE_MB = 1000, 100
@@ -72,7 +72,7 @@ def write_lerobot(folder: Path, header: Mapping[str, Any], frames: Iterator[Fram
     _write(folder / "meta" / "stats.json", _plain(_together(stats)))
     _write(folder / "meta" / "mechsearch.json", {**header, "seconds_per_action": seconds})
     about = {
-        "codebase_version": VERSION,
+        "codebase_version": LEROBOT_VERSION,
         "robot_type": "mechsearch",
         "total_episodes": len(rows),
         "total_frames": rows[-1]["dataset_to_index"],
@@ -118,7 +118,7 @@ class _Files:
 
 
 def _camera(header: Mapping[str, Any]) -> dict[str, Any]:
-    return asdict(camera_of(header))
+    return asdict(recorded_camera(header))
 
 
 def _columns(shown: Frames, camera: Mapping[str, Any]) -> dict[str, Column]:

@@ -17,7 +17,7 @@ from mechsearch.evaluation.frames import Frames
 from mechsearch.observe.observation import KINDS
 from mechsearch.types import Array
 
-VERSION = "0.5.4"
+MINARI_VERSION = "0.5.4"
 """Of Minari, whose format this is."""
 
 _DECISION = 9
@@ -52,7 +52,7 @@ def write_minari(
             "total_steps": steps,
             "data_format": "parquet",
             "jpeg_encoding": False,
-            "minari_version": VERSION,
+            "minari_version": MINARI_VERSION,
             "dataset_size": round(size / 1e6, 1),
             "algorithm_name": str(header["name"]),
             "requirements": [f"mechsearch>={header['version']}"],

@@ -5,7 +5,7 @@ import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +167,18 @@ class LookAheadPolicy:
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the plan's next action (3,); stay in place once it is over."""
         return self._actions.pop() if self._actions else np.zeros(3, np.float32)
+
+
+@runtime_checkable
+class Equipped(Policy, Protocol):
+    """A policy that retrieves, and must know with which grippers."""
+
+    def equip(self, grippers: tuple[str, ...]) -> None:
+        """Take the names of the robot's grippers, before the first episode.
+
+        Raises:
+            MechSearchError: If it cannot do with them.
+        """
 
 
 class ObservationWrapper:

@@ -32,6 +32,7 @@ from mechsearch.evaluation.policies import (
     RETRIEVAL,
     RETRIEVE,
     SHIPPED_POLICIES,
+    Equipped,
     ObservationWrapper,
     actor_of,
     card,
@@ -76,18 +77,6 @@ class Planner(Policy, Protocol):
 
     def plan(self, env: AnyEnv) -> None:
         """Plan from where an environment is, and leave it there."""
-
-
-@runtime_checkable
-class Equipped(Policy, Protocol):
-    """A policy that retrieves, and must know with which grippers."""
-
-    def equip(self, grippers: tuple[str, ...]) -> None:
-        """Take the names of the robot's grippers, before the first episode.
-
-        Raises:
-            MechSearchError: If it cannot do with them.
-        """
 
 
 @dataclass(frozen=True)

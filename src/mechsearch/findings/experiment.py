@@ -21,7 +21,16 @@ from mechsearch.evaluation.episodes import (
     mean_interval,
     share_interval,
 )
-from mechsearch.files import layout, read_lines, read_record
+from mechsearch.files import (
+    CONFIG_FILE,
+    EVALUATIONS_FOLDER,
+    INPUTS_FILE,
+    METRICS_FILE,
+    PLAN_FILE,
+    RUNS_FOLDER,
+    read_lines,
+    read_record,
+)
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.findings.scores import ScoredPolicy, episode_files, read_scored
 from mechsearch.findings.tables import RETRIEVAL_TRADEOFF, TRADEOFF
@@ -33,7 +42,7 @@ LISTED_FIRST = (
 PASSIVE = ("idle", "random")
 TEACHER_PREFIX = "teacher-"
 CEILING = "look-ahead"
-_LOG = f"{layout.METRICS_FILE}*"
+_LOG = f"{METRICS_FILE}*"
 """As it is, or packed."""
 Item = TypeVar("Item")
 VALIDATION = "validation"
@@ -291,16 +300,16 @@ def read_experiment(*sources: Path) -> Experiment:
         MechSearchError: If a file is damaged or belongs elsewhere, nothing was scored, or a sweep's
             folder is not the only source.
     """
-    if not any((source / layout.PLAN_FILE).is_file() for source in sources):
+    if not any((source / PLAN_FILE).is_file() for source in sources):
         return _loose(sources)
     if len(sources) > 1:
         raise MechSearchError(f"{len(sources)} sources; a sweep's folder is reported by itself")
     (folder,) = sources
-    plan = read_record(folder / layout.PLAN_FILE, "plan of a sweep")
+    plan = read_record(folder / PLAN_FILE, "plan of a sweep")
     conditions = [_planned(path) for path in folder.iterdir() if path.is_dir()]
     conditions = [condition for condition in conditions if condition.policies]
     if not conditions:
-        raise MechSearchError(f"no evaluation (.npz) in {folder}/*/{layout.EVALUATIONS_FOLDER} yet")
+        raise MechSearchError(f"no evaluation (.npz) in {folder}/*/{EVALUATIONS_FOLDER} yet")
     return Experiment(plan, _by_name(conditions))
 
 
@@ -310,16 +319,16 @@ def read_run(directory: Path) -> Run:
     Raises:
         MechSearchError: If it holds no run, or its log is damaged.
     """
-    config = read_record(directory / layout.CONFIG_FILE, "training configuration")
-    inputs = directory / layout.INPUTS_FILE
+    config = read_record(directory / CONFIG_FILE, "training configuration")
+    inputs = directory / INPUTS_FILE
     known = read_record(inputs, "record of a run's inputs") if inputs.exists() else {}
     records: dict[str, list[Mapping[str, Any]]] = {}
     try:
-        for record in read_lines(directory / layout.METRICS_FILE):
+        for record in read_lines(directory / METRICS_FILE):
             records.setdefault(record["kind"], []).append(record)
     except (ValueError, KeyError, TypeError) as error:
         raise MechSearchError(
-            f"the log at {directory / layout.METRICS_FILE} is damaged: {error}"
+            f"the log at {directory / METRICS_FILE} is damaged: {error}"
         ) from None
     name, seed = str(config.get("name", directory.name)), int(config.get("seed", 0))
     return Run(name, seed, records, str(known.get("heap_set", "")))
@@ -386,7 +395,7 @@ def distinct_names(headers: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _planned(folder: Path) -> Condition:
-    evaluations = folder / layout.EVALUATIONS_FOLDER
+    evaluations = folder / EVALUATIONS_FOLDER
     files = episode_files([evaluations]) if evaluations.is_dir() else []
     scored = [read_scored(path) for path in files]
     for one in scored:
@@ -395,14 +404,14 @@ def _planned(folder: Path) -> Condition:
                 f"{one.path} is of {one.header['condition']} heaps; this folder is for "
                 f"{folder.name}"
             )
-    runs_folder = folder / layout.RUNS_FOLDER
+    runs_folder = folder / RUNS_FOLDER
     # A run that has just begun has no log yet.
     logs = sorted(runs_folder.glob(f"*/{_LOG}"))
     runs = {log.parent: read_run(log.parent) for log in logs}
     for directory, run in runs.items():
         if directory.name != f"{run.name}-seed{run.seed}":
             raise MechSearchError(
-                f"{directory} holds the run {run.name}-seed{run.seed} by its {layout.CONFIG_FILE}; "
+                f"{directory} holds the run {run.name}-seed{run.seed} by its {CONFIG_FILE}; "
                 "expected the run that the folder is named after"
             )
     return _condition(folder.name, _longest(scored), list(runs.values()))

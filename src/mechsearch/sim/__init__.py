@@ -1,6 +1,6 @@
 """Physics: the world, its workspace, the pusher, and settling."""
 
-from mechsearch.sim.arm import ARMS, FREE, Arm, Motion, arm_named
+from mechsearch.sim.arm import ARMS, FREE, Arm, ArmMotion, arm_named
 from mechsearch.sim.arm_world import ArmWorld, shown_at
 from mechsearch.sim.gripper import AnyGripper, Gripper, SuctionCup, gripper_named, open_parts
 from mechsearch.sim.gripper_world import GripperWorld

@@ -98,7 +98,7 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class Motion:
+class ArmMotion:
     """What an arm did in one action, or why it refused.
 
     Attributes:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.arm import Arm, Motion
+from mechsearch.sim.arm import Arm, ArmMotion
 from mechsearch.sim.motion import kinematics_of
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
 from mechsearch.sim.world import World
@@ -110,7 +110,7 @@ class ArmWorld(World):
         config, nothing = self.config, np.zeros(len(self._angles))
         plan = self._kinematics.plan(self._angles, target, config.time_step, config.action_steps)
         if isinstance(plan, str):
-            self.motion = Motion(plan, 0.0, nothing, nothing, self._margin())
+            self.motion = ArmMotion(plan, 0.0, nothing, nothing, self._margin())
             return False
         self._watch = watch = _Watch(len(nothing))
         steps = len(plan.angles) + config.rest_steps
@@ -124,7 +124,7 @@ class ArmWorld(World):
             self._drive(plan.angles[-1], nothing, nothing)
         self._data.time = ends
         fastest, strongest = self._limits
-        self.motion = Motion(
+        self.motion = ArmMotion(
             None, steps * config.time_step, watch.speeds / fastest, watch.torques / strongest,
             watch.margin, tuple(sorted(watch.touched)),
         )  # fmt: skip

@@ -20,9 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from mechsearch.geometry import quaternion_product, rotation_from_quaternion
 from mechsearch.objects.model import FRICTION, ObjectModel
-from mechsearch.sim.arm import Motion
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
-from mechsearch.sim.world import runaway, settle
+from mechsearch.sim.world import HeapWorld, runaway, settle
 from mechsearch.types import Array, Floats, MechSearchError
 
 RATE = 240
@@ -39,7 +38,7 @@ _ROLLING = 0.001
 """Likewise against rolling, on the table alone [m]."""
 
 
-class BulletWorld:
+class BulletWorld(HeapWorld):
     """Objects on a table and the pusher; see `sim.world.HeapWorld`.
 
     Every step is simulated: nothing sleeps, and the pusher's free travel is not skipped. The pusher
@@ -56,7 +55,7 @@ class BulletWorld:
         close: Forgets the scene, as happens when the world is forgotten.
     """
 
-    motion: Motion | None = None
+    motion = None
 
     def __init__(
         self,

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.arm import Arm, Motion
+from mechsearch.sim.arm import Arm, ArmMotion
 from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
@@ -48,7 +48,7 @@ class HeapWorld(Protocol):
     workspace: Workspace
     """Table and bounds."""
 
-    motion: Motion | None
+    motion: ArmMotion | None
     """What the last push was where an arm pushes; None for a free pusher."""
 
     @property
@@ -110,7 +110,7 @@ class World:
         motion: What the last push was where an arm pushes; None for a free pusher.
     """
 
-    motion: Motion | None = None
+    motion: ArmMotion | None = None
 
     def __init__(
         self,

@@ -9,8 +9,7 @@ import numpy as np
 
 from mechsearch.algorithm import Algorithm, NamedTensors, RunConfig
 from mechsearch.env import TaskConfig
-from mechsearch.evaluation.policies import goal_of
-from mechsearch.evaluation.rollout import Equipped
+from mechsearch.evaluation.policies import Equipped, goal_of
 from mechsearch.files import (
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
