@@ -36,7 +36,9 @@ def test_a_bare_installation_works_and_hears_what_more_there_is(tmp_path, capsys
     assert "an action with images takes" in found["heap"][1]
     for extra, (name, _) in EXTRAS.items():
         assert found[name][0] == "missing"
-        assert f"pip install '.[{extra}]'" in found[name][1]
+        # mink asks for another build of the engine.
+        how = "pip install --no-deps mink" if extra == "arms" else f"pip install '.[{extra}]'"
+        assert how in found[name][1]
     assert found["objects"] == ("works", f"2 meshes in {tmp_path}")
 
 

@@ -100,7 +100,8 @@ EXTRAS = {
     "learn": ("PyTorch", "torch"),
     "report": ("Matplotlib", "matplotlib"), "meshes": ("CoACD", "coacd"),
     "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
-    "export": ("ONNX's writer", "onnxscript"), "robot": ("ONNX Runtime and rosbags", "onnxruntime"),
+    "export": ("ONNX", "onnxscript"), "robot": ("ONNX-Runtime", "onnxruntime"),
+    "dds": ("CycloneDDS", "cyclonedds"),
     "bullet": ("PyBullet", "pybullet"),
     "arms": ("mink", "mink"),
 }  # fmt: skip

@@ -26,7 +26,8 @@ _NEEDED_BY = {
     "ray": "work on many machines",
     "bullet": "`mechsearch evaluate --engine bullet`",
     "video": "an MP4 film (a GIF does not)",
-    "export": "`mechsearch export`",
+    "export": "`mechsearch export policy`",
+    "dds": "a robot over ROS 2's messages",
     "robot": "an exported policy, or a recorded bag,",
     "arms": "an episode on a robot arm",
 }
@@ -96,7 +97,7 @@ def _told(name: str, ask: Callable[[], str]) -> bool:
 
 
 def _say(state: str, name: str, text: object) -> None:
-    print(f"{state:8}{name:11}{' '.join(str(text).split())}", flush=True)
+    print(f"{state:8}{name:13}{' '.join(str(text).split())}", flush=True)
 
 
 def _engine() -> str:
