@@ -40,7 +40,7 @@ def exported(policy, algorithm, folder):
 
     file = folder / "policy.safetensors"
     save_policy(trained(policy, algorithm, 7, TaskConfig()), file)
-    main(["export", str(file), "--out", str(folder / "exported")])
+    main(["export", "policy", str(file), "--out", str(folder / "exported")])
     return folder / "exported"
 
 

@@ -110,7 +110,7 @@ def test_what_has_no_network_is_not_exported(tmp_path, capsys):
     from mechsearch.cli import main
 
     with pytest.raises(SystemExit):
-        main(["export", "teacher-spiral", "--out", str(tmp_path / "out")])
+        main(["export", "policy", "teacher-spiral", "--out", str(tmp_path / "out")])
     assert "PushTeacher, which is not exported" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

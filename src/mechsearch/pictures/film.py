@@ -312,7 +312,7 @@ def film_of(
     Raises:
         MechSearchError: If an object of the episode is not among the models.
     """
-    arm = arm_named(header["env"].get("robot", FREE)) if robot else None
+    arm = arm_named(header.get("env", {}).get("robot", FREE)) if robot else None
     if arm is not None:
         parts, places = shown_at(arm, Pusher(), record.ee_positions)
         moments = [
