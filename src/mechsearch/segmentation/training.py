@@ -239,7 +239,8 @@ def _backward(
 ) -> float:
     """Leave the gradient of a loss in a network; return the loss."""
     image = torch.arange(len(images)).repeat_interleave(len(references) // len(images))
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    # Of rounded weights kept for a second use, threads share one store, and whoever is done empties it.
+    with torch.autocast("cpu", dtype=torch.bfloat16, cache_enabled=False):
         logits = network.decode(network.encode(images), network.look(references), image)
     loss = _loss(logits.float(), truth)
     torch.autograd.backward(loss)
