@@ -239,7 +239,7 @@ def _backward(
 ) -> float:
     """Leave the gradient of a loss in a network; return the loss."""
     image = torch.arange(len(images)).repeat_interleave(len(references) // len(images))
-    # Of rounded weights kept for a second use, threads share one store, and whoever is done empties it.
+    # Threads share one store of rounded weights for a second use, which whoever is done empties.
     with torch.autocast("cpu", dtype=torch.bfloat16, cache_enabled=False):
         logits = network.decode(network.encode(images), network.look(references), image)
     loss = _loss(logits.float(), truth)
