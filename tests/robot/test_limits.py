@@ -202,6 +202,18 @@ def test_the_guard_trusts_no_controller():
     assert robot.speeds.max() <= 1.05 * 0.1
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"kind": "jump"}, {"goal": np.array([0.5, np.nan, 0.1])}, {"speed": 0.0}, {"speed": np.nan}],
+)
+def test_what_is_no_motion_moves_nothing(changes):
+    guard, here = Guard(Limits(**LIMITS)), np.array([0.5, 0.0, 0.1])
+    motion = Motion(MOVE, here + 0.05, 0.1, 0.0, "")
+    guard.receive(replace(motion, **changes), 0.0)
+    assert guard.refusal.startswith("no motion")
+    assert guard.set_point(Tool(here, 0.01), 0.01).tolist() == here.tolist()
+
+
 def test_a_robot_that_measures_nothing_stands():
     robot, controller = rig()
     lost = replace(robot.tool(), time=-1.0)

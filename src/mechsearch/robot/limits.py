@@ -144,8 +144,10 @@ class Guard:
         """Take a motion that has arrived at a time [s]."""
         if self.refusal:
             return
-        if motion.kind not in (MOVE, RETREAT, STOP) or not np.isfinite([*motion.goal]).all():
-            self.refusal, self._motion = f"no motion: {motion.kind} to {motion.goal}", None
+        kinds, numbers = (MOVE, RETREAT, STOP), [*motion.goal, motion.speed]
+        if motion.kind not in kinds or not np.isfinite(numbers).all() or motion.speed <= 0:
+            told = f"{motion.kind} to {motion.goal} at {motion.speed} m/s"
+            self.refusal, self._motion = f"no motion: {told}", None
             return
         if motion.kind == STOP and (self._motion is None or self._motion.kind != STOP):
             self._point = None
