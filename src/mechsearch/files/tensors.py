@@ -161,6 +161,52 @@ def load_archive(path: Path, kind: str) -> Archive:
     return Archive(kind, tensors, meta)
 
 
+def save_progress(
+    path: Path,
+    kind: str,
+    identity: Mapping[str, Any],
+    network: nn.Module,
+    optimizer: Optimizer,
+    history: Sequence[Mapping[str, float]],
+) -> None:
+    """Write how far a training is, for `resume`.
+
+    Args:
+        path: The checkpoint.
+        kind: What it is, as for `Archive`.
+        identity: What makes the training this one, as JSON.
+        network: Whose weights are kept.
+        optimizer: Its own.
+        history: What was logged so far.
+    """
+    tensors = prefixed("network", network.state_dict())
+    tensors |= prefixed("adam", optimizer_tensors(optimizer))
+    meta = {"identity": dict(identity), "history": list(history)}
+    save_archive(path, Archive(kind, tensors, meta))
+
+
+def resume(
+    path: Path, kind: str, identity: Mapping[str, Any], network: nn.Module, optimizer: Optimizer
+) -> list[dict[str, float]]:
+    """Take up what `save_progress` wrote, if there is anything; return the history so far.
+
+    Raises:
+        MechSearchError: If it is of another training, or damaged.
+    """
+    if not path.exists():
+        return []
+    archive = load_archive(path, kind)
+    stored = archive.meta["identity"]
+    differing = ", ".join(name for name, value in identity.items() if stored.get(name) != value)
+    if differing:
+        raise MechSearchError(
+            f"{path.parent} holds a training with another {differing}; name another folder"
+        )
+    fill(network, part(archive.tensors, "network"))
+    fill_optimizer(optimizer, part(archive.tensors, "adam"))
+    return list(archive.meta["history"])
+
+
 def _read(path: Path, kind: str, whole: bool = True) -> tuple[dict[str, str], dict[str, Tensor]]:
     """Return the header and, of the whole, the tensors of a safetensors file."""
     if not path.is_file():

@@ -17,16 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mechsearch.files import alone
-from mechsearch.files.tensors import (
-    Archive,
-    fill,
-    fill_optimizer,
-    load_archive,
-    optimizer_tensors,
-    part,
-    prefixed,
-    save_archive,
-)
+from mechsearch.files.tensors import resume, save_progress
 from mechsearch.processes import Progress, silent
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.judging import found_by, partly_hidden
@@ -129,7 +120,7 @@ def train_segmentation(
         )
         begun = None if start is None else hashlib.sha256(start.read_bytes()).hexdigest()
         identity = {**asdict(config), "images_seen": len(images), "start": begun}
-        history = _resume(folder / _CHECKPOINT_FILE, identity, network, optimizer)
+        history = resume(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer)
         views = _stacked(seen.references)
         held_out = replace(seen, images=images.where(check))
         wanted = partly_hidden(held_out.images, targets=False)
@@ -144,10 +135,7 @@ def train_segmentation(
                 progress(label, update + 1, config.updates)
             found = found_by(NetworkSegmenter(network, (1.0, 0.0, 0.0)), held_out, few)
             history.append({"loss": loss / (end - first), **found.summary})
-            tensors = prefixed("network", network.state_dict())
-            tensors |= prefixed("adam", optimizer_tensors(optimizer))
-            meta = {"identity": identity, "history": history}
-            save_archive(folder / _CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
+            save_progress(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer, history)
         bound, confidence = calibrated(NetworkSegmenter(network, ()), held_out, many)
         network.raise_bound(bound)
         about = {"validation": history[-1]}
@@ -311,24 +299,3 @@ def _views(
     for turn in (1, 2, 3):
         seen[turns == turn] = torch.rot90(seen[turns == turn], turn, (2, 3))
     return seen
-
-
-def _resume(
-    path: Path,
-    identity: dict[str, Any],
-    network: SegmentationNetwork,
-    optimizer: torch.optim.Optimizer,
-) -> list[dict[str, float]]:
-    """Take up a checkpoint, if there is one; return the history so far."""
-    if not path.exists():
-        return []
-    archive = load_archive(path, _KIND)
-    stored = archive.meta["identity"]
-    differing = ", ".join(name for name, value in identity.items() if stored.get(name) != value)
-    if differing:
-        raise MechSearchError(
-            f"{path.parent} holds a training with another {differing}; name another folder"
-        )
-    fill(network, part(archive.tensors, "network"))
-    fill_optimizer(optimizer, part(archive.tensors, "adam"))
-    return list(archive.meta["history"])

@@ -12,16 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mechsearch.files import alone
-from mechsearch.files.tensors import (
-    Archive,
-    fill,
-    fill_optimizer,
-    load_archive,
-    optimizer_tensors,
-    part,
-    prefixed,
-    save_archive,
-)
+from mechsearch.files.tensors import resume, save_progress
 from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.grasp.learning.grasp_folder import Labelled
 from mechsearch.grasp.learning.labelling import Grasps, Trials
@@ -148,7 +139,7 @@ def fit(
             network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )
         identity = {**asdict(replace(config, epochs=1)), **data}
-        history = _resume(folder / CHECKPOINT_FILE, identity, network, optimizer)
+        history = resume(folder / CHECKPOINT_FILE, _KIND, identity, network, optimizer)
         for epoch in range(len(history), config.epochs):
             mean = _train(network, optimizer, count, loss, config, epoch)
             found = verdict()
@@ -156,10 +147,7 @@ def fit(
             best = max(row["average_precision"] for row in history)
             if history[-1]["average_precision"] == best:
                 save(folder / NETWORK_FILE, {"validation": history[-1]})
-            tensors = prefixed("network", network.state_dict())
-            tensors |= prefixed("adam", optimizer_tensors(optimizer))
-            meta = {"identity": identity, "history": history}
-            save_archive(folder / CHECKPOINT_FILE, Archive(_KIND, tensors, meta))
+            save_progress(folder / CHECKPOINT_FILE, _KIND, identity, network, optimizer, history)
             label = f"epochs, loss {mean:.3f}, AP {found.average_precision:.3f}, best {best:.3f}"
             progress(label, epoch + 1, config.epochs)
         return history
@@ -268,24 +256,6 @@ def _logits(network: GraspNetwork, seen: Array, angle: Array) -> Tensor:
     found = network(images.contiguous(memory_format=torch.channels_last))[:, :, :, 0, 0]
     own: Tensor = found[torch.arange(len(seen)), torch.from_numpy(angle.astype(np.int64))]
     return own
-
-
-def _resume(
-    path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
-) -> list[dict[str, float]]:
-    """Take up a checkpoint, if there is one; return the history so far."""
-    if not path.exists():
-        return []
-    archive = load_archive(path, _KIND)
-    stored = archive.meta["identity"]
-    differing = ", ".join(name for name, value in identity.items() if stored.get(name) != value)
-    if differing:
-        raise MechSearchError(
-            f"{path.parent} holds a training with another {differing}; name another folder"
-        )
-    fill(network, part(archive.tensors, "network"))
-    fill_optimizer(optimizer, part(archive.tensors, "adam"))
-    return list(archive.meta["history"])
 
 
 def train_quality_network(
