@@ -19,11 +19,13 @@ from mechsearch.env import (
 from mechsearch.evaluation.rollout import evaluate, other_inputs, replay_all
 from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.observation import MOST_HOLES
-from mechsearch.observe.sensor import SENSORS
+from mechsearch.observe.sensor import SENSORS, Sensor
 from mechsearch.types import GRASP_KEYS, PRIVILEGED_KEYS, MechSearchError
 
 FIXED = {"heap": 0, "fixed_start": True}
-WRONG = [name for name in SENSORS if name != "perfect"]
+WRONG = [
+    name for name, sensor in SENSORS.items() if isinstance(sensor, Sensor) and name != "perfect"
+]
 ACTIONS = np.array([[1, 0, 0], [0, 1, -0.5], [-1, 0.3, 0], [0, 0, 1]], np.float32)
 
 
@@ -75,6 +77,17 @@ def test_an_episode_is_seen_again_bit_by_bit_also_from_a_snapshot(covered, boxes
     snapshot = env.snapshot()
     later = [other.restore(snapshot), *(other.step(action)[0] for action in ACTIONS[2:])]
     assert as_bytes(later) == as_bytes(seen[2:])
+
+
+def test_a_mixture_goes_on_from_a_snapshot_with_the_sensor_of_the_episode(covered, boxes):
+    env, other = (make(covered, boxes, "mixed") for _ in range(2))
+    for number in range(8):
+        env.reset(seed=0 if number == 0 else None)
+        env.step(ACTIONS[0])
+        snapshot = env.snapshot()
+        seen = [env.step(action)[0] for action in ACTIONS[1:]]
+        other.restore(snapshot)
+        assert as_bytes([other.step(action)[0] for action in ACTIONS[1:]]) == as_bytes(seen)
 
 
 def test_a_perfect_episode_draws_nothing_and_saves_nothing_more(covered, boxes):

@@ -232,7 +232,30 @@ def test_a_camera_is_where_and_turned_as_said():
     np.testing.assert_allclose(np.std(turns, axis=0), 1.0, rtol=0.15)
 
 
-@pytest.mark.parametrize("name", [name for name in SENSORS if name != "perfect"])
+ONE_BY_ONE = {name: sensor for name, sensor in SENSORS.items() if isinstance(sensor, Sensor)}
+
+
+def test_a_mixture_is_each_of_its_sensors_equally_often_and_adds_nothing(step):
+    ids, colour = np.where(step < 1, 0, -1).astype(np.int16), np.zeros((SIDE, SIDE, 3), np.uint8)
+
+    def taken(sensor, episode):
+        sensing = sensor.episode((4, 3, episode), 1)
+        depth, mask = sensing.take(1, VIEW, step, step < 1, ids, colour) if (
+            not sensing.is_perfect
+        ) else (step, step < 1)  # fmt: skip
+        return depth.tobytes() + mask.tobytes()
+
+    each = {name: [taken(sensor, n) for n in range(200)] for name, sensor in ONE_BY_ONE.items()}
+    mixed = [taken(SENSORS["mixed"], n) for n in range(200)]
+    share = {
+        name: np.mean([a == b for a, b in zip(mixed, own, strict=True)])
+        for name, own in each.items()
+    }
+    assert sum(share.values()) == pytest.approx(1)
+    assert min(share.values()) > 0.15
+
+
+@pytest.mark.parametrize("name", [name for name in ONE_BY_ONE if name != "perfect"])
 def test_the_same_seed_gives_the_same_bytes_and_another_step_others(name, step):
     colour = np.full((SIDE, SIDE, 3), 20, np.uint8)
     ids = np.where(step < 1, 0, -1).astype(np.int16)
@@ -248,7 +271,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_step_others(name, step):
 
 def test_all_is_switched_off_by_default_and_used_by_a_preset():
     unused = [f.name for f in fields(Sensor) if all(
-        getattr(sensor, f.name) == f.default for sensor in SENSORS.values()
+        getattr(sensor, f.name) == f.default for sensor in ONE_BY_ONE.values()
     )]  # fmt: skip
     assert unused == []
 

@@ -310,7 +310,7 @@ class HeapScene(Generic[W]):
             "poses": self.poses.copy(),
             "present": self.present.copy(),
             "occlusion": np.array(self.occlusion),
-        } | ({} if self._sensing.is_perfect else {"episode": np.array(self._episode)})
+        } | ({} if self._config.sees.is_perfect else {"episode": np.array(self._episode)})
 
     def restore(self, snapshot: Mapping[str, Array], counts: Sequence[str]) -> list[int]:
         """Return to a snapshot, exactly.

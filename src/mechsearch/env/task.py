@@ -10,7 +10,7 @@ from typing import Any, Self, TypeVar
 from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
-from mechsearch.observe.sensor import Sensor, sensor_named
+from mechsearch.observe.sensor import Sensor, SensorMixture, sensor_named
 from mechsearch.segmentation.segmenter import TRUE, TargetFinder, check_segmenter
 from mechsearch.sim import (
     ENGINES,
@@ -118,7 +118,7 @@ class TaskConfig:
                 raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
 
     @property
-    def sees(self) -> Sensor:
+    def sees(self) -> Sensor | SensorMixture:
         """What `sensor` names."""
         return sensor_named(self.sensor)
 

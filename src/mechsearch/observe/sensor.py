@@ -247,6 +247,28 @@ class Sensor:
         return moved
 
 
+@dataclass(frozen=True)
+class SensorMixture:
+    """Another sensor in each episode, for policies that are to bear all of them.
+
+    Attributes:
+        sensors: Of which each is as likely.
+    """
+
+    sensors: tuple[Sensor, ...]
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether nothing is ever wrong."""
+        return all(sensor.is_perfect for sensor in self.sensors)
+
+    def episode(self, seed: tuple[int, ...], objects: int) -> "Sensing":
+        """Return the sensor in an episode; see `Sensor.episode`."""
+        # A number more: the choice is not to go with the errors that the seed draws.
+        chosen = np.random.default_rng((*seed, 0)).integers(len(self.sensors))
+        return self.sensors[chosen].episode(seed, objects)
+
+
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.bool_)
 
 
@@ -394,7 +416,7 @@ def _of_stereo(subpixel: float, focal: float, baseline: float) -> dict[str, floa
 
 _D435 = 848 / 2 / tan(radians(45)), 0.05
 
-SENSORS = {
+_EACH = {
     "perfect": Sensor(),
     "stereo": Sensor(
         **_of_stereo(0.08, *_D435), depth_step=0.001, correlation=3.0, scale_error=0.02 / 3,
@@ -419,11 +441,16 @@ SENSORS = {
         mask_shift=4.0, mask_waves=4.0, mask_missing=0.2, mask_false=0.2, mask_part=20.0,
     ),
 }  # fmt: skip
+
+SENSORS: dict[str, Sensor | SensorMixture] = {
+    **_EACH, "mixed": SensorMixture(tuple(_EACH.values()))
+}  # fmt: skip
 """Sensors by name: `perfect`, `stereo` (a RealSense D435), `time-of-flight` (an Azure Kinect in
-narrow view, unbinned) and `harsh` (a stereo camera, badly tuned and calibrated)."""
+narrow view, unbinned), `harsh` (a stereo camera, badly tuned and calibrated), and `mixed`: one of
+these, another in each episode."""
 
 
-def sensor_named(name: str) -> Sensor:
+def sensor_named(name: str) -> Sensor | SensorMixture:
     """Return a sensor by its name.
 
     Raises:
