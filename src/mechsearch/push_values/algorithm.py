@@ -22,7 +22,7 @@ from mechsearch.push_values.value import (
     PushValueConfig,
     fit_pushes,
 )
-from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, view_pushes
+from mechsearch.pushes.push import PlannedPush, Push, Sight, view_pushes
 from mechsearch.types import ACTOR_KEYS, Array, MechSearchError
 
 EPISODES_FOLDER = "pushes"
@@ -46,6 +46,8 @@ class PushValuesConfig:
         explore: Share of random pushes among the executed ones, after the first fit; before it, all
             are random.
         ranked: Share of the tried pushes that are the best of what the policy judges, not random.
+        searches: Whether a hidden target is looked for all over the heap, and not only where it was
+            seen last.
         value: The network and its fit.
     """
 
@@ -54,6 +56,7 @@ class PushValuesConfig:
     tries: int = 24
     explore: float = 0.1
     ranked: float = 0.5
+    searches: bool = False
     value: PushValueConfig = field(default_factory=PushValueConfig)
 
     def __post_init__(self) -> None:
@@ -117,8 +120,9 @@ class PushValuesSession:
     def _policy(self, networks: Sequence[PushValue], continuation: Continuation) -> PushPolicy:
         task = self._run.task
         config = PushPolicyConfig(
-            self.config.candidates, task.camera, task.image_size, task.reward.idleness
-        )
+            self.config.candidates, task.camera, task.image_size, task.reward.idleness,
+            self.config.searches,
+        )  # fmt: skip
         return PushPolicy(networks, continuation, config)
 
     @property
@@ -152,7 +156,7 @@ class PushValuesSession:
             sight = self.policy.see(rollouts[-1].obs)
             pushes = self._choose(sight)
             tried = self._try(self._env.snapshot(), pushes[1:], sight)
-            push = PlannedPush(pushes[0], sight)
+            push = self.policy.begin(pushes[0], sight)
             rollouts.append(roll_out(self._env, rollouts[-1].obs, push.act))
             samples.append(_samples(pushes, sight, [rollouts[-1], *tried]))
             self.counts["executed"] += len(rollouts[-1].actions)
@@ -164,7 +168,7 @@ class PushValuesSession:
     def _choose(self, sight: Sight) -> list[Push]:
         """Return the push to execute, and then those to try beside it."""
         plan = self.config
-        pushes = draw_pushes(plan.candidates, self._rng)
+        pushes = self.policy.draw(sight, self._rng)
         explores = self._rng.random() < plan.explore
         if not self.policy.networks:
             return pushes[: plan.tries]

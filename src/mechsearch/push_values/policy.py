@@ -24,12 +24,14 @@ class PushPolicyConfig:
         camera: View of the images, a name for `camera.preset`.
         image_size: Side of the images [px].
         idleness: What an action costs.
+        searches: Whether a hidden target is looked for all over the heap; see `PushChooser`.
     """
 
     candidates: int = 96
     camera: str = TaskConfig.camera
     image_size: int = TaskConfig.image_size
     idleness: float = RewardConfig.idleness
+    searches: bool = False
 
     def __post_init__(self) -> None:
         if self.candidates < 1:
@@ -54,7 +56,8 @@ class PushPolicy(PushChooser):
         """
         self.networks = [copy.deepcopy(network).eval() for network in networks]
         self.continuation, self.config = continuation, config
-        super().__init__(preset(config.camera, config.image_size), config.candidates)
+        view = preset(config.camera, config.image_size)
+        super().__init__(view, config.candidates, config.searches)
 
     def judge(self, pushes: Sequence[Push], sight: Sight) -> Floats:
         """Return the rewards expected of pushes and of what follows them (n,).

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_pushes, look
+from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_places, draw_pushes, look
 from mechsearch.types import ACTOR_KEYS, PUSH, Floats, Observation, Weighed
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])
@@ -21,13 +21,15 @@ class PushChooser(ABC):
     Attributes:
         camera: View of the images.
         candidates: Pushes to judge each time.
+        searches: Whether a hidden target is looked for all over the heap, and not only where it was
+            seen last.
     """
 
     keys: tuple[str, ...] = ACTOR_KEYS
 
-    def __init__(self, camera: Camera, candidates: int) -> None:
-        """Take the view, and how many pushes to judge."""
-        self.camera, self.candidates = camera, candidates
+    def __init__(self, camera: Camera, candidates: int, searches: bool = False) -> None:
+        """Take the view, how many pushes to judge, and where to look for a hidden target."""
+        self.camera, self.candidates, self.searches = camera, candidates, searches
         self.reset(np.random.default_rng(0))
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -36,6 +38,7 @@ class PushChooser(ABC):
         self._push: PlannedPush | None = None
         self._compared: tuple[Sequence[Push], Floats, Sight] | None = None
         self._last_seen = _UNSEEN
+        self._looked: list[Floats] = []
 
     def act(self, obs: Observation) -> NDArray[np.float32]:
         """Return the next action (3,) of the present push, or of a new one."""
@@ -43,8 +46,8 @@ class PushChooser(ABC):
         self._compared = None
         if action is None:
             sight = self.see(obs)
-            pushes = draw_pushes(self.candidates, self._rng)
-            self._push = PlannedPush(pushes[self.best(pushes, sight)], sight)
+            pushes = self.draw(sight, self._rng)
+            self._push = self.begin(pushes[self.best(pushes, sight)], sight)
             action = self._push.act(obs)
         return np.zeros(3, np.float32) if action is None else action
 
@@ -65,6 +68,31 @@ class PushChooser(ABC):
             return replace(sight, centre=self._last_seen)
         self._last_seen = sight.centre
         return sight
+
+    def draw(self, sight: Sight, rng: np.random.Generator) -> list[Push]:
+        """Return random pushes to judge.
+
+        Of a searcher, they are about places all over the heap where the target is hidden; half of
+        them, if it was seen before.
+        """
+        pushes = draw_pushes(self.candidates, rng)
+        if not self.searches or sight.target.any() or not len(sight.obstacles):
+            return pushes
+        first = 0 if self._last_seen is _UNSEEN else len(pushes) // 2
+        places = draw_places(len(pushes) - first, sight.obstacles, self._looked, rng)
+        offsets = (places - self._last_seen[:2]).tolist()
+        moved = [
+            replace(push, offset=(x, y))
+            for push, (x, y) in zip(pushes[first:], offsets, strict=True)
+        ]
+        return [*pushes[:first], *moved]
+
+    def begin(self, push: Push, sight: Sight) -> PlannedPush:
+        """Return a push as it is carried out; where it looks for the target is remembered."""
+        assert sight.centre is not None
+        if self.searches and not sight.target.any():
+            self._looked.append(sight.centre[:2] + np.array(push.offset))
+        return PlannedPush(push, sight)
 
     def best(self, pushes: Sequence[Push], sight: Sight) -> int:
         """Return the index of the best push."""

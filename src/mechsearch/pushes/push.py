@@ -83,6 +83,7 @@ class Push:
         turns: Of a spiral; each leads 5.5 cm further out.
         height: Of the fingertip above the target's visible middle [m].
         mirrored: Whether a spiral turns clockwise.
+        offset: From where the target was seen to where it is looked for [m].
     """
 
     kind: str
@@ -93,6 +94,7 @@ class Push:
     turns: float = 0.0
     height: float = 0.0
     mirrored: bool = False
+    offset: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -115,7 +117,8 @@ class Push:
     def middle(self, centre: Floats) -> Floats:
         """Return the point (2,) [m] that it passes beside or through a target at `centre`."""
         along = _unit(self.direction)
-        return centre[:2] + self.lateral * np.array([-along[1], along[0]])
+        place = centre[:2] + np.array(self.offset)
+        return place + self.lateral * np.array([-along[1], along[0]])
 
     def path(self, centre: Floats) -> Floats:
         """Return its waypoints (N, 2) [m] about a target at `centre`."""
@@ -145,6 +148,36 @@ def _draw(rng: np.random.Generator) -> Push:
     lateral, turns = float(rng.normal(0, 0.01)), float(rng.uniform(0.75, SPIRAL_TURNS))
     mirrored = bool(rng.random() < 0.5)
     return Push("spiral", direction, lateral, turns=turns, height=height, mirrored=mirrored)
+
+
+_BULK = 0.03
+"""What is near enough to hide a target at a place: the std of a window [m]."""
+
+_LOOKED, _LOOKED_SHARE = 0.05, 0.3
+"""Distance within which a place was looked at [m], and how often it is drawn again, relatively."""
+
+
+def draw_places(
+    count: int, heap: Floats, looked: Sequence[Floats], rng: np.random.Generator
+) -> Floats:
+    """Return places (count, 2) [m] where something hidden may be.
+
+    Places are drawn by the square of how much stands around them, and less often near those
+    where it was looked for before.
+
+    Args:
+        count: How many.
+        heap: Points on everything that stands on the table (N, 3) [m], N at least 1.
+        looked: Places (2,) [m] where it was looked for.
+        rng: Draws.
+    """
+    away = ((heap[:, None, :2] - heap[None, :, :2]) ** 2).sum(axis=-1)
+    weights = (np.exp(-0.5 * away / _BULK**2) @ heap[:, 2]) ** 2
+    for place in looked:
+        near = np.hypot(*(heap[:, :2] - place).T) < _LOOKED
+        weights *= np.where(near, _LOOKED_SHARE, 1.0)
+    places: Floats = heap[rng.choice(len(heap), count, p=weights / weights.sum()), :2]
+    return places
 
 
 PATCH = (4, 32, 32)
@@ -343,7 +376,7 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
 
 
 class _Frames:
-    """The axes and middles (n, 2) of n pushes, as `Push` has them of one."""
+    """The axes, places and middles (n, 2) of n pushes, as `Push` has them of one."""
 
     def __init__(self, pushes: Sequence[Push], centre: Floats) -> None:
         directions = np.array([push.direction for push in pushes])
@@ -352,7 +385,8 @@ class _Frames:
         self.along = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
         left = np.stack([-self.along[:, 1], self.along[:, 0]], axis=-1)
         self.across = side[:, None] * left
-        self.middles = centre[:2] + lateral[:, None] * left
+        self.places = centre[:2] + np.array([push.offset for push in pushes]).reshape(-1, 2)
+        self.middles = self.places + lateral[:, None] * left
 
 
 _BLOCK = 8
@@ -443,7 +477,7 @@ def _numbers(
     n, tip, ee = len(pushes), plans.starts[:, 2], sight.ee_position
     away = ee[:2] - frames.middles
     columns = [
-        20 * ((frames.middles - sight.centre[:2]) * frames.across).sum(axis=1),
+        20 * ((frames.middles - frames.places) * frames.across).sum(axis=1),
         np.array([8 * push.before for push in pushes]),
         np.array([8 * push.after for push in pushes]),
         np.array([push.turns for push in pushes]),
