@@ -32,6 +32,7 @@ def test_a_file_has_the_options_of_its_own_algorithm_alone(tmp_path):
         "tries",
         "explore",
         "ranked",
+        "searches",
         "value",
     }
     assert {"learner", "teachers", "noise", "pushes"} & found.keys() == set()

@@ -172,11 +172,11 @@ def draw_places(
         rng: Draws.
     """
     away = ((heap[:, None, :2] - heap[None, :, :2]) ** 2).sum(axis=-1)
-    weights = (np.exp(-0.5 * away / _BULK**2) @ heap[:, 2]) ** 2
+    weights: Floats = (np.exp(-0.5 * away / _BULK**2) @ heap[:, 2]) ** 2
     for place in looked:
         near = np.hypot(*(heap[:, :2] - place).T) < _LOOKED
         weights *= np.where(near, _LOOKED_SHARE, 1.0)
-    places: Floats = heap[rng.choice(len(heap), count, p=weights / weights.sum()), :2]
+    places: Floats = heap[:, :2][rng.choice(len(heap), count, p=weights / weights.sum())]
     return places
 
 
