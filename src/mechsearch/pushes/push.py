@@ -117,7 +117,7 @@ class Push:
     def middle(self, centre: Floats) -> Floats:
         """Return the point (2,) [m] that it passes beside or through a target at `centre`."""
         along = _unit(self.direction)
-        place = centre[:2] + np.array(self.offset)
+        place: Floats = centre[:2] + np.array(self.offset)
         return place + self.lateral * np.array([-along[1], along[0]])
 
     def path(self, centre: Floats) -> Floats:
