@@ -1,7 +1,8 @@
 """Code in pages that runs as the site is built: the directive `run`, and what comes of it.
 
 The cells of a page run in order, in an empty folder that they share; those in Python share their
-names too. What a cell prints stands below it. A cell that fails stops the build.
+names too. What a cell prints stands below it. A cell that fails stops the build. Such a page is a
+notebook too.
 """
 
 import io
@@ -15,6 +16,7 @@ from typing import ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
+from notebooks import notebook
 from sphinx.util.docutils import SphinxDirective
 
 
@@ -86,7 +88,19 @@ def _bash(code):
     return done.stdout
 
 
+def _link_notebook(app, page, text):
+    """Write a page's notebook, if code in it runs, and link it below the title."""
+    if book := notebook(text[0]):
+        file = Path(app.srcdir) / "_build" / "notebooks" / f"{page}.ipynb"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(book)
+        link = f"{{download}}`This page as a notebook </_build/notebooks/{page}.ipynb>`"
+        title, rest = text[0].split("\n", 1)
+        text[0] = f"{title}\n\n{link}\n{rest}"
+
+
 def setup(app):
-    """Register the directive."""
+    """Register the directive, and the notebooks."""
     app.add_directive("run", Run)
+    app.connect("source-read", _link_notebook)
     return {"parallel_read_safe": False}

@@ -4,6 +4,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from docutils import nodes
+
 import mechsearch
 
 DOCS = Path(__file__).parent
@@ -30,12 +32,24 @@ napoleon_use_ivar = True
 napoleon_use_rtype = False
 
 html_theme = "furo"
+html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_title = f"mechsearch {release}"
 html_show_sphinx = html_show_copyright = html_show_sourcelink = html_copy_source = False
 
 
+def captioned(app, page):
+    """Give each picture that stands by itself its description as a caption."""
+    for image in list(page.findall(nodes.image)):
+        paragraph = image.parent
+        if isinstance(paragraph, nodes.paragraph) and len(paragraph) == 1 and image.get("alt"):
+            figure = nodes.figure("", image, nodes.caption("", image["alt"]))
+            page.set_id(figure)
+            paragraph.replace_self(figure)
+
+
 def setup(app):
-    """Let pages link to a Markdown file that is no page of the site."""
+    """Caption pictures, and let pages link to a Markdown file that is no page of the site."""
+    app.connect("doctree-read", captioned)
 
     def linked(app, page, text):
         text[0] = text[0].replace("](../results/README.md)", "](path:../results/README.md)")

@@ -47,6 +47,11 @@ robot() {
 	try mechsearch doctor
 }
 
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+for said in "CITATION.cff:version: $version" "CHANGELOG.md:## \[$version\]"; do
+	grep -q "^${said#*:}" "${said%%:*}" || { echo "failed: no version $version in ${said%%:*}"; exit 1; }
+done
+
 for extra in ${PARTS:-base learn $(grep -o "^robot = " pyproject.toml | cut -d" " -f1) all}; do
 	for python in "$@"; do
 		for file in "$dist"/*.whl "$dist"/*.tar.gz; do
@@ -57,7 +62,11 @@ for extra in ${PARTS:-base learn $(grep -o "^robot = " pyproject.toml | cut -d" 
 			"$uv" venv --quiet --python "$python" "$home/venv"
 			"$uv" pip install --quiet --python "$home/venv/bin/python" --constraints "$constraints" \
 				"$file$([[ $extra == base ]] || echo "[$extra]")"
-			size=$(du -sm "$home/venv" | cut -f1)
+			size=$(du -sm --apparent-size "$home/venv" | cut -f1)
+			if [[ $extra == base && $size -gt 450 ]]; then
+				echo "failed: the base install has $size MB; expected at most 450"
+				exit 1
+			fi
 			(cd "$home/tried" && PATH="$home/venv/bin:$PATH" && $extra)
 			echo "$("$python" --version) ${file##*.} $extra: works, $size MB"
 		done

@@ -3,12 +3,17 @@ import sys
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mechsearch
 from mechsearch.cli import main
 from mechsearch.evaluation.episodes import load_episodes
+from mechsearch.evaluation.frames import frames_of
+from mechsearch.evaluation.rollout import EvaluationPlan
+from mechsearch.pictures.live import LiveSession
 from mechsearch.training.run_directory import load_policy
+from mechsearch.types import MechSearchError
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("0*.py"))
@@ -44,3 +49,26 @@ def test_an_algorithm_of_80_lines_trains_resumes_is_evaluated_and_reported(tmp_p
     page = tmp_path / "report.html"
     main(["report", str(scores), str(run), "--out", str(page), "--no-pictures"])
     assert "Cloning" in page.read_text()
+
+
+def test_pushes_of_a_person_are_learnt_from(tmp_path, monkeypatch):
+    safetensors = pytest.importorskip("safetensors.numpy")
+    monkeypatch.syspath_prepend(FOLDER)
+    heaps = str(resources.files("mechsearch.heaps") / "household_single.parquet")
+    live = LiveSession(EvaluationPlan("idle", limit=1, split="train"), tmp_path)
+    live.answer(b'{"do": "push", "way": [0, 0, -1]}')
+    live.answer(b'{"do": "wait"}')
+    live.answer(b'{"do": "save"}')
+    (file,) = tmp_path.glob("hand-*.npz")
+    how = {"evaluate_every": 50, "validation_heaps": 1, "passes": 1, "actions": 50}
+    imitation, run = "demonstrations:Imitation", tmp_path / "run"
+    mechsearch.train(imitation, heaps, run, episodes=(str(file),), **how)
+    (checkpoint,) = (run / "checkpoints").iterdir()
+    tensors = safetensors.load_file(checkpoint)
+    (shown,) = frames_of(load_episodes(file))
+    assert len(shown.record.actions) == 50
+    np.testing.assert_array_equal(tensors["seen/action"], shown.record.actions)
+    np.testing.assert_array_equal(tensors["seen/depth"], shown.observations["depth"][:-1])
+    assert '"policy": "hand"' in (run / "metrics.jsonl").read_text()
+    with pytest.raises(MechSearchError, match="nothing to imitate"):
+        mechsearch.train(imitation, heaps, tmp_path / "none", **how)

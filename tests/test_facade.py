@@ -7,6 +7,7 @@ import pytest
 import mechsearch
 from mechsearch.evaluation.episodes import load_episodes, save_episodes
 from mechsearch.heaps.dataset import embedded_file
+from mechsearch.types import MechSearchError
 
 
 def test_every_public_name_is_found_and_they_are_sorted():
@@ -29,6 +30,16 @@ def test_the_base_install_needs_no_torch(module):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_what_needs_torch_says_so_where_there_is_none(monkeypatch):
+    def missing(name):
+        raise ModuleNotFoundError(f"{name} imports torch", name="torch")
+
+    monkeypatch.setattr(mechsearch, "import_module", missing)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MechSearchError, match=r"mechsearch.train needs PyTorch: install it by"):
+        _ = mechsearch.train
+
+
 def test_files_are_named_by_text_or_by_path(tmp_path):
     heaps = embedded_file("single")
     for kind in (str, Path):
@@ -37,5 +48,5 @@ def test_files_are_named_by_text_or_by_path(tmp_path):
         evaluation = mechsearch.evaluate("idle", kind(heaps), limit=1)
         save_episodes(kind(tmp_path / "idle.npz"), evaluation)
         assert load_episodes(kind(tmp_path / "idle.npz")).header == evaluation.header
-    with pytest.raises(mechsearch.MechSearchError, match=r"no actor at absent\.safetensors"):
+    with pytest.raises(MechSearchError, match=r"no actor at absent\.safetensors"):
         mechsearch.make_policy(Path("absent.safetensors"))

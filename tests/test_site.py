@@ -1,7 +1,10 @@
-"""What the check of the built site notices, and that its tutorials are all in it."""
+"""What the check of the built site notices, and what a page is as a notebook."""
+
+import json
 
 import pytest
 
+from docs.notebooks import notebook
 from docs.offline import faults
 
 WHOLE = '<a href="b.html#here">b</a><img src="_images/a.png"><a href="https://example.org">out</a>'
@@ -39,3 +42,48 @@ def test_one_fault_is_found_and_named(site, name, text, fault):
     (site / name).write_text(text)
     (found,) = faults(site)
     assert found.startswith(f"{site / name}: {fault}")
+
+
+PAGE = """\
+# A page
+
+See [heaps](heaps.md#a) and [more](https://example.org).
+
+```{run} bash
+:picture: a.png
+:alt: A heap
+
+mechsearch heaps show a --out a.png
+```
+
+```{run} python
+:save: mine.py
+
+x = 1
+```
+Between.
+
+```{run} python
+print("a")
+
+print("b")
+```
+
+```bash
+this does not run
+```
+"""
+
+
+def test_a_page_whose_code_runs_is_a_notebook_with_the_same_cells():
+    book = json.loads(notebook(PAGE))
+    assert [(cell["cell_type"], cell["source"]) for cell in book["cells"]] == [
+        ("markdown", "# A page\n\nSee heaps and [more](https://example.org)."),
+        ("code", "%%bash\nmechsearch heaps show a --out a.png"),
+        ("code", 'from IPython.display import Image\n\nImage("a.png")'),
+        ("code", "%%writefile mine.py\nx = 1"),
+        ("markdown", "Between."),
+        ("code", 'print("a")\n\nprint("b")'),
+        ("markdown", "```bash\nthis does not run\n```"),
+    ]
+    assert notebook("# A page\n\n```bash\nls\n```\n") == ""

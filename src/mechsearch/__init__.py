@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from mechsearch.benchmark.protocol import environment_ids
+from mechsearch.types import EXTRAS, check_extra
 
 if TYPE_CHECKING:
     from mechsearch.env import (
@@ -113,4 +114,10 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module 'mechsearch' has no attribute {name!r}")
     module, _, attribute = _PLACES[name].partition(":")
-    return getattr(import_module(f"mechsearch.{module}"), attribute)
+    try:
+        return getattr(import_module(f"mechsearch.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        needed = [extra for extra, (_, library) in EXTRAS.items() if library == error.name]
+        if not needed:
+            raise
+    return check_extra(f"mechsearch.{name}", needed[0])

@@ -11,6 +11,7 @@ from mechsearch.heaps.dataset import object_set
 from mechsearch.pictures.film import FilmConfig, film_of
 from mechsearch.pictures.live import LiveSession, server
 from mechsearch.pictures.page import Shown, episode_page
+from mechsearch.report.document import Document, PageBeside, Section, to_html
 
 
 @pytest.fixture(scope="module")
@@ -19,15 +20,21 @@ def evaluation():
     return evaluate_plan(EvaluationPlan("single", limit=2))
 
 
-@pytest.fixture
-def page(browser, evaluation, tmp_path):
-    """A page of two episodes in the browser."""
+@pytest.fixture(scope="module")
+def page_of_episodes(evaluation):
+    """A page of two episodes."""
     header, models = evaluation.header, object_set("household").models
     shown = {}
     for name, record in zip(("worst", "best"), evaluation.episodes, strict=True):
         film = film_of(header, record, models, FilmConfig(), True)
         shown[name] = Shown(film, f"{name} of two", weighed_again(header, record, models))
-    (tmp_path / "a.html").write_text(episode_page("Two <episodes>", shown), encoding="utf-8")
+    return episode_page("Two <episodes>", shown)
+
+
+@pytest.fixture
+def page(browser, page_of_episodes, tmp_path):
+    """That page in the browser."""
+    (tmp_path / "a.html").write_text(page_of_episodes, encoding="utf-8")
     browser.open((tmp_path / "a.html").as_uri())
     return browser
 
@@ -101,6 +108,24 @@ def test_another_episode_is_chosen(page, evaluation):
     page.until("!dirty")
     assert page.text("about") == "best of two"
     assert page.text("clock") == f"0 / {len(evaluation.episodes[1].actions)}"
+
+
+def test_a_report_unfolds_its_episodes(browser, page_of_episodes, tmp_path):
+    section = Section("Episodes", [PageBeside(page_of_episodes, "The worst & best", "episodes")])
+    # Scripts of others do not run.
+    text = to_html(Document("A report", "", [section]), "a")
+    text = text.replace("</main>", "<script>document.title = 'other'</script></main>")
+    (tmp_path / "a.html").write_text(text, encoding="utf-8")
+    browser.page.load((tmp_path / "a.html").as_uri())
+    browser.until("document.querySelector('summary') !== null")
+    inside = "document.querySelector('iframe').contentDocument?.body"
+    assert not browser.run(f"{inside}?.dataset.ready === 'yes'")
+    browser.run("document.querySelector('summary').click()")
+    browser.until(f"{inside}?.dataset.ready === 'yes'")
+    assert browser.run("document.title") == "A report"
+    assert browser.run(f"{inside}.querySelectorAll('#candidates li').length") >= 12
+    assert "execute inline script" in browser.page.said.pop()
+    assert browser.run("document.querySelector('iframe').getBoundingClientRect().height") > 400
 
 
 @pytest.fixture

@@ -68,6 +68,22 @@ def test_only_the_mask_turns_green() -> None:
     np.testing.assert_array_equal(green, mask)
 
 
+def luminance(rgb):
+    """Return what is left of colours in grey print, from 0 to 1 (ITU-R BT.709)."""
+    return np.asarray((np.asarray(rgb) / 255) ** 2.2 @ (0.2126, 0.7152, 0.0722))
+
+
+@pytest.mark.parametrize("colour", [(230, 220, 80), (200, 40, 40), (150, 150, 150), (20, 20, 20)])
+def test_the_mask_is_marked_without_its_colour_too(colour) -> None:
+    rgb = np.full((40, 40, 3), colour, np.uint8)
+    mask = np.zeros((40, 40), np.bool_)
+    mask[10:20, 10:20] = True
+    row = luminance(tinted(rgb, mask))[15]
+    # From outside: white, then dark.
+    assert row[9] > 0.9
+    assert row[10] < 0.1
+
+
 def test_nothing_but_the_target_is_green_whatever_the_colours() -> None:
     steps = np.arange(0, 256, 15, np.uint8)
     rgb = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(18, -1, 3)

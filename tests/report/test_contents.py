@@ -1,6 +1,7 @@
 import io
 import re
 from collections.abc import Callable, Mapping
+from html import escape
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,7 @@ def test_page_and_print_have_the_same_sections(report: Document) -> None:
     assert "All &amp; everything" in text
 
 
-def test_the_worst_median_and_best_episode_have_a_page_beside_the_report(
+def test_the_worst_median_and_best_episode_are_in_the_report_and_on_a_page_beside_it(
     sweep: Path, report: Document
 ) -> None:
     (page,) = report.pages.values()
@@ -61,8 +62,10 @@ def test_the_worst_median_and_best_episode_have_a_page_beside_the_report(
     assert ends == pytest.approx(
         [rewards[0], rewards[(len(rewards) - 1) // 2], rewards[-1]], abs=1e-3
     )
-    link = '<a href="my%20report/episodes-single.html">The worst, median and best episode of method'
-    assert link in to_html(report, "my report")
+    text = to_html(report, "my report")
+    assert "<summary>The worst, median and best episode of method" in text
+    assert '<a href="my%20report/episodes-single.html">' in text
+    assert f'srcdoc="{escape(page)}"' in text
 
 
 def _pictures(report: Document, kind: type) -> list[Picture]:

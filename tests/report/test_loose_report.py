@@ -55,8 +55,10 @@ def parsed(text: str) -> Checker:
     return checker
 
 
-def test_nothing_is_fetched_and_nothing_is_run(text: str, parsed: Checker) -> None:
-    assert not {"script", "link", "iframe", "object", "video"} & set(parsed.tags)
+def test_nothing_is_fetched_and_nothing_but_an_episode_is_run(text: str, parsed: Checker) -> None:
+    assert not {"script", "link", "object", "video"} & set(parsed.tags)
+    assert re.findall(r"<iframe [^>]*?(\w+)=\"[^\"]{200}", text) == ["srcdoc"]
+    assert not re.search(r"<iframe [^>]*?src=", text)
     assert all(image["src"].startswith("data:image/") for image in parsed.images)
     outside = text.replace("http://www.w3.org/2000/svg", "")
     assert not re.search(r"https?://|url\(|@import", outside)

@@ -286,7 +286,9 @@ class ShowEpisode(OfObjects):
         film = film_of(header, record, models, config, robot, replayed)
         title, words = f"{record.policy} on heap {record.heap_seed}", in_brief(record)
         if suffix in PAGES:
-            shown = Shown(film, words, weighed_again(header, record, models, self.policy))
+            with bars() as progress:
+                weighed = weighed_again(header, record, models, self.policy, progress)
+            shown = Shown(film, words, weighed)
             write_text(self.out, episode_page(title, {self.which: shown}, self.rate))
         elif moving:
             with bars() as progress:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from mechsearch.cli.command import Command, wrote
+from mechsearch.cli.command import Command, bars, wrote
 from mechsearch.training.export import export_policy
 
 
@@ -24,5 +24,8 @@ class ExportPolicy(Command):
 
     def run(self) -> None:
         """Write both files."""
-        export_policy(self.policy, self.out)
+        with bars() as progress:
+            progress(what := f"network of {self.policy}", 0, 1)
+            export_policy(self.policy, self.out)
+            progress(what, 1, 1)
         wrote(self.out)

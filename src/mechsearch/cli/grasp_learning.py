@@ -156,7 +156,8 @@ class TestGrasps(JudgingCommand):
         """Print a table of scores, and by how much the first network is above each other one."""
         grasps = load_grasps(self.labels)
         named = {"shipped": None, **{path.stem: path for path in self.networks}}
-        found = compare_networks(grasps, named)
+        with bars() as progress:
+            found = compare_networks(grasps, named, progress)
         _say_comparison(found, f"{len(grasps)} grasps")
         self.write(asdict(found), {k: np.array(v.curve) for k, v in found.networks.items()})
 

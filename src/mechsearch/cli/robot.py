@@ -1,6 +1,7 @@
 """`mechsearch robot`."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -8,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from mechsearch.cli.command import FLAT, Command, say, wrote
+from mechsearch.cli.command import FLAT, Command, bars, say, wrote
 from mechsearch.robot import bags
 from mechsearch.robot.controller import Controller
 from mechsearch.robot.limits import Limits, Motion
@@ -62,12 +63,20 @@ class PlayBag(Command):
     def _play(self, controller: Controller, out: Path) -> None:
         out.mkdir()
         motions: list[Motion] = []
-        for frame, tool in bags.read_bag(self.bag, self.topics):
-            motions.append(motion := controller.step(frame, tool, frame.time))
-            if len(motions) > 1 and (motion.goal == motions[-2].goal).all():
-                continue
-            goal = ", ".join(f"{number:.3f}" for number in motion.goal)
-            sure = "" if motion.confidence is None else f", confidence {motion.confidence:.2f}"
-            say(f"{motion.time:.3f} s  {motion.kind} to ({goal}) m{sure}: {motion.reason}")
-            bags.draw(frame, tool, motion).save(out / f"{len(motions):04d}.png")
+        lines: list[str] = []
+        with bars() as progress:
+            told = partial(progress, f"images of {self.bag.name}")
+            for frame, tool in bags.read_bag(self.bag, self.topics, told):
+                motions.append(motion := controller.step(frame, tool, frame.time))
+                if len(motions) > 1 and (motion.goal == motions[-2].goal).all():
+                    continue
+                lines.append(_told(motion))
+                bags.draw(frame, tool, motion).save(out / f"{len(motions):04d}.png")
+        say("\n".join(lines))
         bags.write_commands(out / "commands", motions, self.topics.base, bags.is_mcap(self.bag))
+
+
+def _told(motion: Motion) -> str:
+    goal = ", ".join(f"{number:.3f}" for number in motion.goal)
+    sure = "" if motion.confidence is None else f", confidence {motion.confidence:.2f}"
+    return f"{motion.time:.3f} s  {motion.kind} to ({goal}) m{sure}: {motion.reason}"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -90,8 +91,8 @@ class TrainSegmentation(Command):
 
     def run(self) -> None:
         """Train, and say how good the network is on validation heaps."""
-        seen = load_images(self.images)
         with bars() as progress:
+            seen = load_images(self.images, progress)
             history = train_segmentation(seen, self.config, self.out, self.start, progress)
         last = history[-1]
         say(
@@ -150,7 +151,9 @@ class TestSegmentation(OfSegmenter):
         segmenter, rows, report = make_segmenter(self.segmenter), [], dict[str, Any]()
         for heaps in self.heaps:
             seen = self.seen(heaps)
-            found = found_by(segmenter, seen, partly_hidden(seen.images))
+            with bars() as progress:
+                told = partial(progress, "masks")
+                found = found_by(segmenter, seen, partly_hidden(seen.images), told)
             unseen = np.isin(np.array(seen.names)[found.object], UNSEEN)
             parts = {"known": found.where(~unseen), "unseen": found.where(unseen)}
             report[heaps.stem] = {

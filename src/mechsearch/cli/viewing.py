@@ -52,4 +52,4 @@ class ViewLive(OfObjects):
 
     def interrupted(self, words: object) -> str:
         """Return what an interruption leaves."""
-        return f"episodes that were saved are in {self.out}"
+        return f"episodes that were saved are in {self.out}; the same command opens the page again"

@@ -266,6 +266,9 @@ class _Header(dict[str, Any]):
         )
 
 
+_EXPECTED = "expected a file that `mechsearch evaluate` or `view` wrote (.npz)"
+
+
 def load_episodes(path: str | Path) -> Evaluation:
     """Read what `save_episodes` wrote; nothing in the file is ever run.
 
@@ -275,7 +278,10 @@ def load_episodes(path: str | Path) -> Evaluation:
     path = Path(path)
     if path.is_dir():
         raise MechSearchError(f"{path} is a folder; expected an evaluation (.npz)")
-    arrays = read_arrays(path, "evaluation")
+    try:
+        arrays = read_arrays(path, "evaluation")
+    except MechSearchError as error:
+        raise MechSearchError(f"{error}; {_EXPECTED}") from None
     try:
         text = json.loads(str(arrays["text"]))
         if text["format"] not in (EPISODE_FORMAT, RETRIEVAL_FORMAT):
@@ -285,7 +291,7 @@ def load_episodes(path: str | Path) -> Evaluation:
             )
         return Evaluation(_Header(text["header"]), tuple(_split(arrays, text)))
     except ARRAY_DAMAGE as error:
-        raise MechSearchError(f"{path} is damaged or no evaluation: {error}") from None
+        raise MechSearchError(f"{path} is damaged or no evaluation: {error}; {_EXPECTED}") from None
 
 
 def _description(episode: EpisodeRecord) -> dict[str, Any]:

@@ -698,6 +698,7 @@ def weighed_again(
     record: EpisodeRecord,
     models: Mapping[str, ObjectModel],
     policy: str = "",
+    progress: Progress = silent,
 ) -> list[Weighed | None]:
     """Return what the policy weighed before each action, by asking it again in the same physics.
 
@@ -709,6 +710,7 @@ def weighed_again(
         models: Objects by name.
         policy: Who acted, as for `make_policy`. By default it is the one that the header names, if
             it is shipped or built in: what a file names is not run.
+        progress: Told after each action.
 
     Raises:
         MechSearchError: If there is no such policy.
@@ -730,10 +732,11 @@ def weighed_again(
         who.equip(env.config.grippers)
     begin(who, env, header["seed"], named)
     found = []
-    for action in record.actions:
+    for step, action in enumerate(record.actions):
         if not np.allclose(_ask(named, who.act, select(obs, who.keys)), action, atol=1e-6):
             break
         found.append(who.weighed)
+        progress(f"what {named} weighed", step + 1, len(record.actions))
         obs, _, _, _, info = env.step(action)
         if info["end"]:
             break

@@ -46,6 +46,7 @@ def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
     """Return the image (H, W, 3) with the pixels of a mask (H, W) green, and no others.
 
     The others are paler, and what is green among them turns grey, yellow or blue. Shading is kept.
+    A dark rim in a white one marks the mask for who does not see green, or prints in grey.
     """
     light = rgb.mean(axis=2, keepdims=True)
     result = 0.5 * rgb + 0.5 * light
@@ -54,8 +55,11 @@ def tinted(rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]
     result *= light / np.maximum(result.mean(axis=2, keepdims=True), 1)
     green = np.array(_TINT) * (0.55 + 0.65 * light[mask] / 255)
     result[mask] = 0.1 * rgb[mask] + 0.9 * green
-    inner = ndimage.binary_erosion(mask, iterations=max(1, len(mask) // 280), border_value=1)
+    width = max(1, len(mask) // 200)
+    inner = ndimage.binary_erosion(mask, iterations=width, border_value=1)
     result[mask & ~np.asarray(inner, np.bool_)] = _RIM
+    outer = ndimage.binary_dilation(mask, iterations=2 * width)
+    result[np.asarray(outer, np.bool_) & ~mask] = WHITE
     return np.asarray(np.clip(result, 0, 255), np.uint8)
 
 

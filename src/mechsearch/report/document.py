@@ -1,13 +1,15 @@
 """A report as data: sections of paragraphs, tables and pictures; as one HTML page, and as a PDF.
 
-The page needs no other file: there is no script, and nothing is fetched. What it links to in a
-folder beside it are pages of their own. All are the same bytes from the same document.
+The page needs no other file: nothing is fetched, and there is no script but that of episodes in
+three dimensions, which are pages of their own in a folder beside it too. All are the same bytes
+from the same document.
 """
 
 import base64
+import hashlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from html import escape
@@ -27,6 +29,7 @@ from mechsearch.findings.tables import Table
 from mechsearch.pictures.canvas import legible, typeface
 
 _PAGE = Path(__file__).with_name("page.html")
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 # A file's date is not part of what it says, and would change its bytes.
 _DATE: Final = datetime(2000, 1, 1, tzinfo=UTC)
 _FAMILY = "DejaVu"
@@ -84,7 +87,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class PageBeside:
-    """A page of its own in the folder beside the document.
+    """A page in the document, and of its own in the folder beside it.
 
     Attributes:
         content: HTML.
@@ -148,9 +151,18 @@ def to_html(document: Document, beside: str = "") -> str:
     """
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
         title=escape(document.title),
+        scripts=_digests(document.pages.values()),
         lead=escape(document.lead),
         body="\n".join(_section_html(section, beside) for section in document.sections),
     )
+
+
+def _digests(pages: Iterable[str]) -> str:
+    """Return which scripts may run, those of pages alone, as a page's policy names them."""
+    scripts = {found for page in pages for found in _SCRIPT.findall(page)}
+    digests = (hashlib.sha256(script.encode()).digest() for script in sorted(scripts))
+    named = (f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+    return " ".join(named) or "'none'"
 
 
 def _section_html(section: Section, beside: str) -> str:
@@ -163,7 +175,10 @@ def _block_html(block: Content, beside: str) -> str:
     if isinstance(block, Paragraph):
         return f"<p{_class(block.kind)}>{escape(block.text)}</p>"
     if isinstance(block, PageBeside):
-        return f'<p><a href="{quote(beside)}/{quote(block.name)}.html">{escape(block.text)}</a></p>'
+        address, words = f"{quote(beside)}/{quote(block.name)}.html", escape(block.text)
+        frame = f'<iframe loading="lazy" title="{words}" srcdoc="{escape(block.content)}"></iframe>'
+        alone = f'<p><a href="{address}">on a page of its own</a></p>'
+        return f"<details><summary>{words}</summary>{frame}{alone}</details>"
     if isinstance(block, Table):
         return _table_html(block)
     text = isinstance(block.content, str)

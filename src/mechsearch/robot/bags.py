@@ -2,7 +2,7 @@
 
 import json
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -64,8 +64,15 @@ _OPTIONAL = ("colour", "wrench")
 _TRANSFORMS = ("/tf", "/tf_static")
 
 
-def read_bag(path: Path, topics: Topics) -> Iterator[tuple[CameraFrame, Tool]]:
+def read_bag(
+    path: Path, topics: Topics, told: Callable[[int, int], object] = lambda *_: None
+) -> Iterator[tuple[CameraFrame, Tool]]:
     """Yield what a robot saw, image by image, once it is certain that the bag is whole.
+
+    Args:
+        path: The bag.
+        topics: Where things are in it.
+        told: Told when an image is dealt with how many are, and of how many.
 
     Raises:
         MechSearchError: If a topic or transform is missing, an encoding is unknown, images differ
@@ -80,8 +87,10 @@ def read_bag(path: Path, topics: Topics) -> Iterator[tuple[CameraFrame, Tool]]:
                 listed = ", ".join(f"{t} ({k})" for t, k in sorted(found.items())) or "nothing"
                 raise MechSearchError(f"{path} has no {name} at {topic} of {kind}; it has {listed}")
         index, transforms = _indexed(reader, topics, path)
-        for stamp, recorded in index["depth"]:
+        images = index["depth"]
+        for done, (stamp, recorded) in enumerate(images, start=1):
             yield _seen(reader, stamp, recorded, topics, index, transforms)
+            told(done, len(images))
 
 
 def write_commands(path: Path, motions: Sequence[Motion], base: str, mcap: bool) -> None:

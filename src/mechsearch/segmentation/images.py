@@ -233,11 +233,12 @@ def _opened(heaps: Path, objects: str) -> tuple[HeapSet, str]:
     return heap_set, named
 
 
-def load_images(paths: Sequence[Path]) -> ImageSet:
+def load_images(paths: Sequence[Path], progress: Progress = silent) -> ImageSet:
     """Return the images of folders, and the objects on them.
 
     Args:
         paths: That `make_images` filled, at least one.
+        progress: Told after each file.
 
     Raises:
         MechSearchError: If a folder has none, or a file is damaged.
@@ -250,10 +251,11 @@ def load_images(paths: Sequence[Path]) -> ImageSet:
             raise MechSearchError(
                 f"{path} holds no images yet; `mechsearch segment images` makes them"
             )
-        for file in files:
+        for done, file in enumerate(files, start=1):
             part = Images(**read_arrays(file, "file of segmentation images"))
             part.objects[part.objects >= 0] += len(references)
             parts.append(part)
+            progress(f"files of {path}", done, len(files))
         library = read_arrays(path / _LIBRARY_FILE, "library of references")
         rows = zip(library["rgb"], library["mask"], library["width"], strict=True)
         references += [References(*views) for views in rows]

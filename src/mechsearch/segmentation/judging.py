@@ -1,7 +1,7 @@
 """Masks that a segmenter finds on images of heaps, held against the truth."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from time import process_time
 
@@ -84,13 +84,19 @@ def partly_hidden(images: Images, targets: bool = True) -> list[tuple[int, int]]
     return found
 
 
-def found_by(segmenter: Segmenter, seen: ImageSet, wanted: Sequence[tuple[int, int]]) -> Found:
+def found_by(
+    segmenter: Segmenter,
+    seen: ImageSet,
+    wanted: Sequence[tuple[int, int]],
+    told: Callable[[int, int], object] = lambda *_: None,
+) -> Found:
     """Return what a segmenter finds of objects on images.
 
     Args:
         segmenter: To judge.
         seen: Images with the truth.
         wanted: Image and place of each object, from `partly_hidden`.
+        told: Told after each of them how many are done, and of how many.
 
     Raises:
         MechSearchError: If nothing is wanted, or the segmenter gives no masks.
@@ -101,7 +107,7 @@ def found_by(segmenter: Segmenter, seen: ImageSet, wanted: Sequence[tuple[int, i
             "expected at least one"
         )
     rows, images = [], seen.images
-    for index, place in wanted:
+    for done, (index, place) in enumerate(wanted, start=1):
         number = int(images.objects[index, place])
         segmenter.look_for(seen.references[number])
         began = process_time()
@@ -113,4 +119,5 @@ def found_by(segmenter: Segmenter, seen: ImageSet, wanted: Sequence[tuple[int, i
             both / (truth | mask).sum(), both > 0.5 * mask.sum(), images.hidden[index, place],
             truth.sum(), confidence, seconds, images.heap[index], number,
         ))  # fmt: skip
+        told(done, len(wanted))
     return Found(*(np.array(column) for column in zip(*rows, strict=True)))

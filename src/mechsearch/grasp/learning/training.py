@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,28 +170,47 @@ def split_by_heap(grasps: Labelled, share: float) -> tuple[Labelled, Labelled]:
 
 
 @torch.inference_mode()
-def predict(network: GraspNetwork, grasps: Grasps, batch: int = 256) -> NDArray[np.float64]:
-    """Return the quality (n,) of labelled grasps, in each one's own closing direction."""
+def predict(
+    network: GraspNetwork,
+    grasps: Grasps,
+    batch: int = 256,
+    told: Callable[[int, int], object] = lambda *_: None,
+) -> NDArray[np.float64]:
+    """Return the quality (n,) of labelled grasps, in each one's own closing direction.
+
+    Args:
+        network: To rate them.
+        grasps: Labelled grasps.
+        batch: Grasps at once.
+        told: Told after each batch how many are rated, and of how many.
+    """
     network.eval()
     found = []
     for start in range(0, len(grasps), batch):
         own = slice(start, start + batch)
         logits = _logits(network, grasps.relative[own], grasps.bin[own])
         found.append(torch.sigmoid(logits[:, 1] - logits[:, 0]).double().numpy())
+        told(min(own.stop, len(grasps)), len(grasps))
     return np.concatenate(found)
 
 
-def compare_networks(grasps: Grasps, networks: Mapping[str, Path | None]) -> NetworkComparison:
+def compare_networks(
+    grasps: Grasps, networks: Mapping[str, Path | None], progress: Progress = silent
+) -> NetworkComparison:
     """Return how good networks are on grasps, and the gain of the first over each other one.
 
     Args:
         grasps: Labelled grasps that they have not learnt from.
         networks: File of each by name; None is the shipped one.
+        progress: Told of the grasps that each has rated.
 
     Raises:
         MechSearchError: If a network is no good, or all outcomes are alike.
     """
-    rated = {name: predict(load_network(path), grasps) for name, path in networks.items()}
+    rated = {
+        name: predict(load_network(path), grasps, told=partial(progress, f"rated by {name}"))
+        for name, path in networks.items()
+    }
     return compare(rated, grasps.success, grasps.heap)
 
 
