@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -10,8 +11,19 @@ from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.episodes import in_words
 from mechsearch.evaluation.rollout import run_episode
-from mechsearch.pictures.film import Film, FilmConfig, Hands, film_of, filmstrip, recorded
+from mechsearch.geometry import transform_from_pose
+from mechsearch.pictures.film import (
+    OUT_OF_SIGHT,
+    Film,
+    FilmConfig,
+    Hands,
+    film_of,
+    filmstrip,
+    recorded,
+)
 from mechsearch.pictures.replay import replayed
+from mechsearch.sim.arm import UR5E
+from mechsearch.sim.arm_gripper_world import ArmGripperWorld
 from mechsearch.sim.gripper import gripper_named
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -142,3 +154,24 @@ def test_all_grippers_are_part_of_the_picture():
     hands = Hands(HEADER)
     assert [model.name for model in hands.models] == ["palm", "finger0", "finger1", "lip", "tube"]
     assert hands.open_at(1, np.array([0, 0, 0.1, *DOWN])).shape == (5, 7)
+
+
+def test_an_arm_is_in_the_picture_while_it_grasps_where_the_engine_has_it():
+    pytest.importorskip("mink")
+    hands = Hands({"env": {"grippers": ["jaws-85"], "robot": "ur5e"}})
+    world = ArmGripperWorld([], UR5E, pusher=gripper_named("jaws-85"))
+    world.reset(np.zeros((0, 7)), np.array([0.1, 0.1, 0.2]))
+    assert world.pusher_is_free()
+    poses = world.gripper_poses()
+    parts = hands.parts(0, poses)
+    assert len(parts) == len(hands.models) == len(poses)
+    capsules = world._model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE
+    drawn = [
+        transform_from_pose(pose)[:3, :3] @ (np.ptp(link.vertices, axis=0) * [0, 0, 0.5]) + pose[:3]
+        for link, pose in zip(hands.models[3:], poses[3:], strict=True)
+    ]
+    np.testing.assert_allclose(drawn, world._data.geom_xpos[capsules], atol=1e-9)
+    # Of a record alone only the jaws are known.
+    open_ = hands.open_at(0, np.array([0, 0, 0.1, 1, 0, 0, 0.0]))
+    assert (open_[3:] == OUT_OF_SIGHT).all()
+    assert (open_[:3, 2] < 1).all()

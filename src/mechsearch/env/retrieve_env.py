@@ -15,7 +15,17 @@ from mechsearch.grasp.grasp_view import grasp_camera, numbered
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import KEYS, KINDS, without_holes
-from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
+from mechsearch.sim import (
+    FREE,
+    ArmGripperWorld,
+    Gripper,
+    GripperWorld,
+    LiftFrame,
+    Perturbation,
+    arm_named,
+    gripper_named,
+    perturbed,
+)
 from mechsearch.types import (
     BUDGET_KEYS,
     DECISION_NAMES,
@@ -29,10 +39,11 @@ from mechsearch.types import (
     Floats,
     MechSearchError,
     Outcome,
+    check_extra,
 )
 
 
-class RetrieveEnv(SceneEnv[GripperWorld]):
+class RetrieveEnv(SceneEnv[GripperWorld | ArmGripperWorld]):
     """Episodes over a list of heaps, each until the target is in the hand.
 
     An action is the vector (9,) of a `Decision`, and is carried out to its end. A push moves the
@@ -53,6 +64,7 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
     a value of `types.Outcome`, or "used up"; a removal that put something aside is a success),
     `held` (indices of the objects that came up), `retrieved`, and the numbers so far of `pushes`,
     `grasps`, `removals` and `wrong_objects` (grasps that brought up others without the target).
+    Of an arm there are also `refused` and `motion` as in `HeapEnv`; a refused grasp is "blocked".
 
     Attributes:
         film: Takes the frames of grasps and removals, if it is a list.
@@ -74,11 +86,13 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
             render_mode: "rgb_array" or None.
 
         Raises:
-            MechSearchError: If there is no heap, one names an unknown object, a key is unknown, or
-                `config` or `render_mode` is none.
+            MechSearchError: If there is no heap, one names an unknown object, a key is unknown,
+                `config` or `render_mode` is none, or what an arm needs is missing.
         """
         self.config = RetrieveConfig() if config is None else config
         super().__init__(self.config, RetrieveConfig, render_mode)
+        if self.config.robot != FREE:
+            check_extra(f"robot {self.config.robot!r}", "arms")
         self.film: list[LiftFrame] | None = None
         keys, own = self.config.all_keys, (*GRASP_KEYS, *BUDGET_KEYS, OCCLUSION_KEY)
         unknown = [key for key in keys if key not in (*KEYS, *own)]
@@ -150,8 +164,11 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
         self._over = bool(over)
         return self._observe()
 
-    def _world_of(self, models: Sequence[ObjectModel]) -> GripperWorld:
-        return GripperWorld(models, self._grippers, self.config.workspace, self.config.physics)
+    def _world_of(self, models: Sequence[ObjectModel]) -> GripperWorld | ArmGripperWorld:
+        config, arm, jaws = self.config, arm_named(self.config.robot), self._grippers[0]
+        if arm is not None and isinstance(jaws, Gripper):
+            return ArmGripperWorld(models, arm, config.workspace, jaws, config.physics)
+        return GripperWorld(models, self._grippers, config.workspace, config.physics)
 
     def _check(self, decision: Decision) -> None:
         """Refuse what no gripper of this robot can reach."""
@@ -188,22 +205,28 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
         world, removal = scene.world, decision.kind == REMOVE
         pose, friction = self._executed(decision)
         attempt = world.attempt(target, pose, decision.gripper, friction, self.film)
+        if world.motion is not None and world.motion.refusal is not None:
+            scene.stay()
+            return str(attempt.outcome), (), None
         if attempt.outcome == Outcome.FAILURE:
             name = world.failure() or "grasp"
             scene.go_back()
             return str(Outcome.FAILURE), (), name
         held = attempt.held
         away = held if held == (target,) or (removal and target not in held) else ()
-        if away:
-            world.stow()
-        else:
+        outcome = Outcome.SUCCESS if away else attempt.outcome
+        if not away:
             world.release(self.film)
+        elif (stowed := world.stow(self.film)) != away:
+            # What fell on its way to the tray is not there.
+            held = away = stowed
+            outcome = Outcome.DROPPED
         world.settle()
         failure = scene.look(away)
         if failure is not None:
             return str(Outcome.FAILURE), (), failure
         self._wrong += bool(held) and not removal and target not in held
-        return str(Outcome.SUCCESS if away else attempt.outcome), held, None
+        return str(outcome), held, None
 
     def _executed(self, decision: Decision) -> tuple[Floats, float | None]:
         """Return the pose (7,) that a grasp really has, and its friction; None is the usual one."""
@@ -271,6 +294,8 @@ class RetrieveEnv(SceneEnv[GripperWorld]):
             "removals": self._spent[REMOVE],
             "wrong_objects": self._wrong,
         }
+        if scene.world.motion is not None:
+            info |= {"refused": scene.world.motion.refusal, "motion": scene.world.motion}
         truncated = self._over and not terminated
         return self._observe(), float(sum(terms.values())), terminated, truncated, info
 

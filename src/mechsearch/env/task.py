@@ -15,6 +15,8 @@ from mechsearch.segmentation.segmenter import TRUE, TargetFinder, check_segmente
 from mechsearch.sim import (
     ENGINES,
     FREE,
+    GRIPPERS,
+    Gripper,
     PhysicsConfig,
     Pusher,
     Workspace,
@@ -220,9 +222,11 @@ class RetrievalTask(TaskConfig):
                 f"segmenter is {self.segmenter!r}; grasps are planned on masks of all objects, "
                 f"which only {TRUE!r} has"
             )
-        if self.robot != FREE:
+        jaws = [name for name, each in GRIPPERS.items() if isinstance(each, Gripper)]
+        if self.robot != FREE and (len(self.grippers) > 1 or self.grippers[0] not in jaws):
             raise MechSearchError(
-                f"robot is {self.robot!r}; expected {FREE!r}: in retrieval grippers have no arm"
+                f"grippers are {', '.join(self.grippers)}; the arm {self.robot} holds one of "
+                f"{', '.join(jaws)}"
             )
         if self.pusher != Pusher():
             raise MechSearchError(

@@ -25,9 +25,11 @@ from mechsearch.render.renderer import Renderer
 from mechsearch.sim import (
     FREE,
     AnyGripper,
+    Gripper,
     Pusher,
     arm_named,
     gripper_named,
+    links_of,
     open_parts,
     pusher_model,
     shown_at,
@@ -91,24 +93,32 @@ def nothing_known(*episode: Any) -> Sequence[Weighed | None]:
 
 
 class Hands:
-    """The grippers of a robot, as films show them."""
+    """The grippers of a robot, as films show them, and the arm that holds them, if one does."""
 
     def __init__(self, header: Mapping[str, Any]) -> None:
         """Take the grippers that an evaluation's header names."""
         self.names: tuple[str, ...] = tuple(header["env"]["grippers"])
         self.grippers: list[AnyGripper] = [gripper_named(name) for name in self.names]
+        arm = arm_named(header["env"].get("robot", FREE))
+        jaws = self.grippers[0]
+        self._links = links_of(arm, jaws) if arm and isinstance(jaws, Gripper) else []
         counts = [len(gripper.places) for gripper in self.grippers]
         self._starts = np.cumsum([0, *counts]).tolist()
 
     @property
+    def have_arm(self) -> bool:
+        """Whether an arm holds them."""
+        return bool(self._links)
+
+    @property
     def models(self) -> list[ObjectModel]:
         """What is rendered of all of them."""
-        return [model for gripper in self.grippers for model in gripper.models()]
+        return [model for gripper in self.grippers for model in gripper.models()] + self._links
 
     def parts(self, number: int, poses: Floats) -> Floats:
         """Return the poses of all parts, those of one gripper given, the others out of sight."""
-        parts = np.tile(OUT_OF_SIGHT, (self._starts[-1], 1))
-        parts[self._starts[number] : self._starts[number + 1]] = poses
+        parts = np.tile(OUT_OF_SIGHT, (self._starts[-1] + len(self._links), 1))
+        parts[self._starts[number] :][: len(poses)] = poses
         return parts
 
     def open_at(self, number: int, pose: Floats) -> Floats:
@@ -227,6 +237,7 @@ class Film:
         pusher: ObjectModel | None = None,
         moments: Sequence[Moment] = (),
         parts: Sequence[ObjectModel] = (),
+        with_arm: bool = False,
     ) -> None:
         """Prepare the objects of an episode.
 
@@ -237,6 +248,7 @@ class Film:
             pusher: Mesh of what pushes with its tip at the origin; None leaves it out.
             moments: What there is to draw; by default the states of an episode of pushes.
             parts: What else their `parts` place.
+            with_arm: Whether an arm is among that, for which the usual view is wider.
 
         Raises:
             MechSearchError: If an object of the episode is not among the models.
@@ -256,7 +268,7 @@ class Film:
         if config.camera or not (record.retrieval or parts):
             self._camera = preset(config.camera or "overhead", size)
         else:
-            self._camera = _side_view(size, with_arm=record.retrieval is None)
+            self._camera = _side_view(size, with_arm)
 
     @property
     def last(self) -> int:
@@ -313,17 +325,18 @@ def film_of(
         MechSearchError: If an object of the episode is not among the models.
     """
     arm = arm_named(header.get("env", {}).get("robot", FREE)) if robot else None
-    if arm is not None:
+    if arm is not None and record.retrieval is None:
         parts, places = shown_at(arm, Pusher(), record.ee_positions)
         moments = [
             replace(at, parts=place) for at, place in zip(pushed(record), places, strict=True)
         ]
-        return Film(record, models, config, None, moments, parts)
+        return Film(record, models, config, None, moments, parts, with_arm=True)
     if record.retrieval is None:
         return Film(record, models, config, pusher_model(Pusher()) if robot else None)
     hands = Hands(header)
     pusher = hands.grippers[0].closed_model() if robot else None
-    return Film(record, models, config, pusher, play(header, record, models), hands.models)
+    played = play(header, record, models)
+    return Film(record, models, config, pusher, played, hands.models, hands.have_arm)
 
 
 def _side_view(size: int, with_arm: bool = False) -> Camera:

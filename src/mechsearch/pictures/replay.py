@@ -26,8 +26,8 @@ from mechsearch.sim import LiftFrame
 _EVERY = 6
 """Of the frames of a grasp, which are 20 ms apart, one in so many is shown."""
 
-_SAID = {"lower": "put back", "open": "let go"}
-_AFTER = ("lower", "open", "leave")
+_SAID = {"lower": "put back", "open": "let go", "carry": "to the tray"}
+_AFTER = ("lower", "open", "carry", "leave")
 
 
 def replayed(

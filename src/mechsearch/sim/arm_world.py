@@ -8,8 +8,8 @@ import numpy as np
 
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.arm import Arm, ArmMotion
-from mechsearch.sim.motion import kinematics_of
-from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, pusher_model
+from mechsearch.sim.motion import Plan, kinematics_of
+from mechsearch.sim.scene import PhysicsConfig, Pusher, Tool, Workspace, pusher_model
 from mechsearch.sim.world import World
 from mechsearch.types import Array, Floats
 
@@ -26,6 +26,9 @@ _MEETINGS = {
     frozenset({"link", "tool"}): "itself",
 }
 """What touches what, and how it is called."""
+
+_PADS = ("pusher", "palm0", "finger0left", "finger0right")
+"""Parts of the tool that may meet the heap."""
 
 _GREY = 182
 
@@ -47,7 +50,7 @@ class ArmWorld(World):
         models: Sequence[ObjectModel],
         arm: Arm,
         workspace: Workspace | None = None,
-        pusher: Pusher | None = None,
+        pusher: Tool | None = None,
         config: PhysicsConfig | None = None,
     ) -> None:
         """Compile a scene.
@@ -56,7 +59,7 @@ class ArmWorld(World):
             models: The objects, in the order of all poses.
             arm: The arm.
             workspace: Table and bounds.
-            pusher: The tool.
+            pusher: The tool; of a gripper the closed jaws.
             config: Numerical choices.
 
         Raises:
@@ -66,15 +69,18 @@ class ArmWorld(World):
         self._kinematics = kinematics_of(arm, tool)
         super().__init__(models, workspace, tool, (), config, (), arm)
         self.arm, self._tool, self.motion = arm, tool, None
-        self._angles: Floats = self._qpos[7 * self.count :]
-        self._speeds: Floats = self._qvel[6 * self.count :]
+        joints = len(arm.links)
+        self._angles: Floats = self._qpos[7 * self.count :][:joints]
+        self._speeds: Floats = self._qvel[6 * self.count :][:joints]
+        self._motors: Floats = self._data.ctrl[:joints]
         self._low, self._high = arm.of_joints("low"), arm.of_joints("high")
         self._limits = arm.of_joints("velocity"), arm.of_joints("torque")
-        self._stiffness = np.repeat([tool.stiffness, _TURNING_STIFFNESS], 3)
+        self._soften()
         model, first = self._model, int(self._robot_geoms[0])
         self._kinds = np.where(np.arange(model.ngeom) >= first, "link", "heap")
         self._kinds[model.geom("table").id] = "table"
-        self._kinds[model.geom("pusher").id] = "tool"
+        self._pads = [g for g in range(first, model.ngeom) if model.geom(g).name in _PADS]
+        self._kinds[self._pads] = "tool"
         self._is_away, self._watch = True, _Watch(len(self._angles))
 
     @property
@@ -110,25 +116,51 @@ class ArmWorld(World):
         config, nothing = self.config, np.zeros(len(self._angles))
         plan = self._kinematics.plan(self._angles, target, config.time_step, config.action_steps)
         if isinstance(plan, str):
-            self.motion = ArmMotion(plan, 0.0, nothing, nothing, self._margin())
+            self._refuse(plan)
             return False
-        self._watch = watch = _Watch(len(nothing))
+        self._watch = _Watch(len(nothing))
         steps = len(plan.angles) + config.rest_steps
         ends = self._data.time + steps * config.time_step
         self._wake()
-        for moment in zip(plan.angles, plan.velocities, plan.accelerations, strict=True):
-            self._drive(*moment)
+        self._follow(plan)
         for step in range(config.rest_steps):
             if config.stops_when_still and step % _SETTLED == 0 and self._lies_still():
                 break
             self._drive(plan.angles[-1], nothing, nothing)
         self._data.time = ends
-        fastest, strongest = self._limits
+        self._note_motion(steps * config.time_step)
+        return True
+
+    def _refuse(self, reason: str) -> None:
+        """Note that nothing has moved, and why."""
+        nothing = np.zeros(len(self._angles))
+        self.motion = ArmMotion(reason, 0.0, nothing, nothing, self._margin())
+
+    def _note_motion(self, seconds: float) -> None:
+        """Note what was seen of a motion that took so long [s]."""
+        watch, (fastest, strongest) = self._watch, self._limits
         self.motion = ArmMotion(
-            None, steps * config.time_step, watch.speeds / fastest, watch.torques / strongest,
+            None, seconds, watch.speeds / fastest, watch.torques / strongest,
             watch.margin, tuple(sorted(watch.touched)),
         )  # fmt: skip
-        return True
+
+    def _soften(self) -> None:
+        """Let the tip give way as a pusher does."""
+        self._spring(self._tool.stiffness, self._tool.force, self._tool.force)
+
+    def _spring(
+        self, stiffness: float, press: float, force: float, damping: float = _FREQUENCY
+    ) -> None:
+        """Set the tip's spring [N/m], its largest forces downwards and else [N], its damping."""
+        self._stiffness = np.repeat([stiffness, _TURNING_STIFFNESS], 3)
+        self._damping = damping
+        self._least, self._most = np.full(3, -force), np.full(3, force)
+        self._least[2] = -press
+
+    def _follow(self, plan: Plan) -> None:
+        """Carry out a plan."""
+        for moment in zip(plan.angles, plan.velocities, plan.accelerations, strict=True):
+            self._drive(*moment)
 
     def _drive(self, angles: Floats, velocities: Floats, accelerations: Floats) -> None:
         """Advance one step towards a point of a plan."""
@@ -139,13 +171,13 @@ class ArmWorld(World):
         error = np.concatenate([wanted.position - now.position, turn])
         loose = np.linalg.solve(now.inertia, now.jacobian.T)
         mass = np.linalg.inv(now.jacobian @ loose + 1e-6 * np.eye(6))
-        force = self._stiffness * error + 2 * _FREQUENCY * mass @ (now.jacobian @ slip)
-        force[:3] = np.clip(force[:3], -self._tool.force, self._tool.force)
+        force = self._stiffness * error + 2 * self._damping * mass @ (now.jacobian @ slip)
+        force[:3] = np.clip(force[:3], self._least, self._most)
         # What moves no tip: an arm of more joints than it needs keeps its posture by it.
         posture = now.inertia @ (_FREQUENCY**2 * lag + 2 * _FREQUENCY * slip)
         posture -= now.jacobian.T @ (mass @ (loose.T @ posture))
         torque = now.bias + now.inertia @ accelerations + now.jacobian.T @ force + posture
-        self._data.ctrl[:] = torque
+        self._motors[:] = torque
         mujoco.mj_step(self._model, self._data)
         self._watch.note(self._speeds, torque, self._margin(), self._touches())
 
@@ -194,6 +226,11 @@ def shown_at(arm: Arm, pusher: Pusher, positions: Floats) -> tuple[list[ObjectMo
         found = kinematics.inverse(position, angles)
         angles = angles if isinstance(found, str) else found
         poses.append(kinematics.poses(angles))
-    models = [pusher_model(Pusher(radius, length)) for radius, length in kinematics.sizes]
-    links = [replace(link, texels=np.full_like(link.texels, _GREY)) for link in models[:-1]]
-    return [*links, models[-1]], np.array(poses)
+    return [*links_of(arm, pusher)[:-1], pusher_model(pusher)], np.array(poses)
+
+
+def links_of(arm: Arm, tool: Tool) -> list[ObjectModel]:
+    """Return what there is to draw of an arm and its tool, as `Kinematics.poses` places it."""
+    sizes = kinematics_of(arm, tool).sizes
+    models = [pusher_model(Pusher(radius, length)) for radius, length in sizes]
+    return [replace(link, texels=np.full_like(link.texels, _GREY)) for link in models]

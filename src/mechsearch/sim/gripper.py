@@ -30,6 +30,13 @@ PUSHING_STIFFNESS, GRASPING_STIFFNESS = 2000.0, 20000.0
 """Of what carries a travelling gripper, along each axis [N/m]: soft like the pusher, or stiff."""
 
 
+HAND_LENGTH = 0.2
+"""From an arm's flange to the tips of the gripper that it holds [m], as long as the pusher."""
+
+_HAND_RADIUS = 0.035
+"""Of what is between flange and palm [m]."""
+
+
 @dataclass(frozen=True)
 class Cylinder:
     """An upright part of an end effector, its heights above the lowest point [m]."""
@@ -78,6 +85,16 @@ class Gripper:
             raise MechSearchError(
                 f"a gripper that opens {self.opening} m; expected 0.01 to 0.2 m, such as 0.056"
             )
+
+    @property
+    def stiffness(self) -> float:
+        """Of what carries it while it pushes [N/m]."""
+        return PUSHING_STIFFNESS
+
+    @property
+    def force(self) -> float:
+        """Largest along each axis while it pushes [N]."""
+        return self.press
 
     @property
     def finger_box(self) -> Floats:
@@ -352,6 +369,60 @@ def add_travelling_gripper(
     for name, side in zip(fingers, (1.0, -1.0), strict=True):
         _add_finger(spec, wrist, name, side, gripper.finger_place + tips, gripper, bits, _DRIVE)
     _couple(spec, fingers)
+
+
+def hold_gripper(
+    spec: mujoco.MjSpec,
+    flange: mujoco.MjsBody,
+    gripper: Gripper,
+    kind: int,
+    affinity: int,
+    with_fingers: bool = True,
+) -> None:
+    """Put a gripper into an arm's hand, its parts named as those of the first that travels.
+
+    It has weight, and between flange and palm a hand like those that are sold, of which nothing is
+    to be met by a gripper that no arm carries. The site "tip" is between its closed tips.
+
+    Args:
+        spec: The scene.
+        flange: Of the arm, z away from it.
+        gripper: Its geometry and control.
+        kind: Bits of what it is.
+        affinity: Bits of what it meets.
+        with_fingers: Whether they move; otherwise they stay open.
+    """
+    wrist = flange.add_body()
+    wrist.name = "wrist0"
+    wrist.pos, wrist.quat = [0.0, 0.0, HAND_LENGTH], [0.0, 1.0, 0.0, 0.0]
+    mass = gripper.mass if with_fingers else gripper.mass + 2 * gripper.finger_mass
+    set_inertia(wrist, mass)
+    tips = np.array([0.0, 0.0, gripper.reach])
+    palm = gripper.palm_place + tips
+    wrist.ipos = palm
+    _add_box(wrist, "palm0", gripper.palm_box, palm, gripper, kind, affinity)
+    hand = wrist.add_geom()
+    hand.name = "hand"
+    hand.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    low = float(palm[2] + gripper.palm_box[2]) + _HAND_RADIUS
+    hand.fromto = [0, 0, low, 0, 0, max(HAND_LENGTH - _HAND_RADIUS, low + 0.001)]
+    hand.size = [_HAND_RADIUS, 0, 0]
+    hand.friction = [gripper.friction, 0.005, 0.0001]
+    hand.contype, hand.conaffinity = kind, affinity
+    tip = wrist.add_site()
+    tip.name = "tip"
+    fingers = f"finger0{_SIDES[0]}", f"finger0{_SIDES[1]}"
+    for name, side in zip(fingers, (1.0, -1.0), strict=True):
+        place = gripper.finger_place + tips
+        if with_fingers:
+            _add_finger(spec, wrist, name, side, place, gripper, (kind, affinity), _DRIVE)
+            continue
+        here = place * [side, 1.0, 1.0]
+        _add_box(wrist, name, gripper.finger_box, here, gripper, kind, affinity)
+    if with_fingers:
+        _couple(spec, fingers)
+    for body in (wrist, *wrist.bodies):
+        body.gravcomp = 0.0
 
 
 def close_jaws(model: mujoco.MjModel, data: mujoco.MjData, index: int, gripper: Gripper) -> None:

@@ -41,7 +41,7 @@ from mechsearch.types import Array, Floats, MechSearchError, Outcome
 _PARKED = np.array([0.0, 0.0, 5.0])
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
-_SQUEEZE = 0.08
+SQUEEZE = 0.08
 """Time for which the jaws squeeze what has stopped them before they lift it [s]."""
 
 _RISE_SPEED = 0.25
@@ -159,12 +159,14 @@ class GripperWorld(World):
             self._leave(rig, film)
         self._retire(rig)
 
-    def stow(self) -> None:
-        """Put what is held aside, into a tray that is no part of the scene."""
-        rig = self._release_from()
-        for index in self._lifted:
+    def stow(self, film: list[LiftFrame] | None = None) -> tuple[int, ...]:
+        """Put what is held aside, into a tray that is no part of the scene; return what it was."""
+        del film
+        rig, stowed = self._release_from(), self._lifted
+        for index in stowed:
             self.remove(index)
         self._retire(rig)
+        return stowed
 
     def settle(self, seconds: float = 2.0) -> None:
         """Let the heap come to rest, the robot standing still, for at most so long [s]."""
@@ -355,6 +357,67 @@ class _Rig:
         raise NotImplementedError
 
 
+class Jaws:
+    """The fingers of parallel jaws in a scene.
+
+    Attributes:
+        gripper: Their geometry and control.
+        firmness: Stiffness of what carries them while they grasp [N/m].
+    """
+
+    firmness = GRASPING_STIFFNESS
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, index: int, gripper: Gripper
+    ) -> None:
+        """Take the number of the gripper, which ends the names of its parts."""
+        self._model, self._data, self._index, self.gripper = model, data, index, gripper
+        names = f"finger{index}left", f"finger{index}right"
+        self._wrist = model.body(f"wrist{index}").id
+        self._geoms = [model.geom(name).id for name in names]
+        self._bodies = [model.body(name).id for name in names]
+        self._servos = [model.actuator(name).id for name in names]
+        self._joints = [int(model.joint(name).qposadr[0]) for name in names]
+        self._speeds = [int(model.joint(name).dofadr[0]) for name in names]
+
+    @property
+    def travel(self) -> float:
+        """How far a finger has closed [m]."""
+        return float(self._data.qpos[self._joints[0]])
+
+    def drive(self, travel: float) -> None:
+        """Tell each finger how far to close [m]."""
+        self._data.ctrl[self._servos] = travel
+
+    def close(self) -> None:
+        """Be closed on nothing, at once."""
+        close_jaws(self._model, self._data, self._index, self.gripper)
+        self._data.qvel[self._speeds] = 0.0
+
+    def open(self) -> None:
+        """Be open, at once."""
+        self._data.qpos[self._joints] = 0.0
+        self.drive(0.0)
+
+    def stalled(self, travel: float) -> bool:
+        """Return whether the fingers stand still short of the travel that they are told [m]."""
+        data = self._data
+        return has_stalled(travel, data.qpos[self._joints], data.qvel[self._speeds])
+
+    def touched(self, finger: int, count: int) -> set[int]:
+        """Return which of so many objects touch one finger."""
+        return touching(self._model, self._data, self._geoms[finger], count)
+
+    def poses(self) -> Floats:
+        """Return the poses (3, 7) of the rendered palm and fingers."""
+        place = body_pose(self._data, self._wrist)
+        palm = place.copy()
+        tips = np.array([0.0, 0.0, self.gripper.reach])
+        palm[:3] = apply(transform_from_pose(place), self.gripper.palm_place + tips)
+        fingers = [body_pose(self._data, body) for body in self._bodies]
+        return np.stack([palm, *fingers])
+
+
 class _JawRig(_Rig):
     """Parallel jaws."""
 
@@ -365,33 +428,26 @@ class _JawRig(_Rig):
     ) -> None:
         super().__init__(world, models, index, gripper)
         self.gripper = gripper
-        self.config = replace(self.config, closing=gripper.closing, stalling=_SQUEEZE)
-        model, names = self._model, (f"finger{index}left", f"finger{index}right")
-        self._fingers = [model.geom(name).id for name in names]
-        self._finger_bodies = [model.body(name).id for name in names]
-        self._finger_servos = [model.actuator(name).id for name in names]
-        self._finger_joints = [int(model.joint(name).qposadr[0]) for name in names]
-        self._finger_speeds = [int(model.joint(name).dofadr[0]) for name in names]
+        self.config = replace(self.config, closing=gripper.closing, stalling=SQUEEZE)
+        self._jaws = Jaws(self._model, self._data, index, gripper)
 
     def let_go(self) -> None:
         """Be closed on nothing."""
-        close_jaws(self._model, self._data, self._index, self.gripper)
-        self._data.qvel[self._finger_speeds] = 0.0
+        self._jaws.close()
 
     def drive(self, height: float, closed: float | None = None) -> None:
         """Advance one step; see `lift.Rig`."""
         if closed is not None:
-            self._data.ctrl[self._finger_servos] = closed
+            self._jaws.drive(closed)
         self.move(height)
 
     def stalled(self, travel: float) -> bool:
         """Return whether the fingers stand still short of the travel that they are told [m]."""
-        data = self._data
-        return has_stalled(travel, data.qpos[self._finger_joints], data.qvel[self._finger_speeds])
+        return self._jaws.stalled(travel)
 
     def touched(self, finger: int) -> set[int]:
         """Return the objects that touch one finger."""
-        return touching(self._model, self._data, self._fingers[finger], self.count)
+        return self._jaws.touched(finger, self.count)
 
     def attempt(
         self,
@@ -405,8 +461,7 @@ class _JawRig(_Rig):
         grasp = above_table(grasp, self.gripper)
         height = self._start(grasp, self.gripper, poses)
         self.aim(grasp, height, friction)
-        self._data.qpos[self._finger_joints] = 0.0
-        self._data.ctrl[self._finger_servos] = 0.0
+        self._jaws.open()
         test = LiftTest(self, poses, target, height, film)
         outcome = test.run()
         # What fell out in the end is not held, whatever it is.
@@ -416,19 +471,14 @@ class _JawRig(_Rig):
     def open(self, film: list[LiftFrame] | None) -> None:
         """Open the jaws where it is."""
         steps = self.config.steps(self.config.closing)
-        start = float(self._data.qpos[self._finger_joints[0]])
+        start = self._jaws.travel
         for step in range(steps):
             self.drive(0.0, start * (1 - (step + 1) / steps))
             self._shoot("open", step, film)
 
     def gripper_poses(self) -> Floats:
         """Return the poses (3, 7) of the rendered palm and fingers."""
-        place = body_pose(self._data, self._wrist)
-        palm = place.copy()
-        tips = np.array([0.0, 0.0, self.gripper.reach])
-        palm[:3] = apply(transform_from_pose(place), self.gripper.palm_place + tips)
-        fingers = [body_pose(self._data, body) for body in self._finger_bodies]
-        return np.stack([palm, *fingers])
+        return self._jaws.poses()
 
 
 class _CupRig(_Rig):

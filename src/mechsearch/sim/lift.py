@@ -45,6 +45,7 @@ class LiftConfig:
         frequency: Of the shake [Hz].
         shaking: Time to shake [s].
         risen: Share of the lift from which an object counts as lifted.
+        gentle: Whether descent and shake begin and end at rest, as an arm's must.
     """
 
     physics: PhysicsConfig = field(default_factory=lambda: PhysicsConfig(time_step=0.004))
@@ -59,6 +60,7 @@ class LiftConfig:
     frequency: float = 8.0
     shaking: float = 0.375
     risen: float = 0.4
+    gentle: bool = False
 
     def steps(self, seconds: float) -> int:
         """Return how many time steps a duration takes."""
@@ -340,7 +342,8 @@ class LiftTest:
         config, rig, start = self._config, self._rig, self._start
         steps = config.steps(start / config.descent_speed)
         for step in range(steps + config.steps(0.04)):
-            goal = start * max(0.0, 1.0 - (step + 1) / steps)
+            share = min(1.0, (step + 1) / steps)
+            goal = start * (1.0 - (eased(share) if config.gentle else share))
             self._step("descend", goal, 0.0)
             if rig.height - goal > 4 * config.blocked_by + 0.01:
                 return False
@@ -375,6 +378,8 @@ class LiftTest:
         for step in range(config.steps(config.shaking)):
             seconds = (step + 1) * config.physics.time_step
             sway = config.shake * np.sin(2 * np.pi * config.frequency * seconds)
+            if config.gentle:
+                sway *= min(1.0, config.frequency * min(seconds, config.shaking - seconds))
             self._step("shake", config.height + sway)
             if step % 8 == 7 and self._target not in rig.touched(0) | rig.touched(1):
                 return
@@ -385,6 +390,11 @@ class LiftTest:
         if self._film is not None and self._clock % 5 == 0:
             poses = self._rig.object_poses()
             self._film.append(LiftFrame(phase, poses, self._rig.gripper_poses()))
+
+
+def eased(share: float) -> float:
+    """Return how much of a way is behind what goes from rest to rest, at a share of its time."""
+    return share**3 * (10 - 15 * share + 6 * share**2)
 
 
 def has_stalled(travel: float, fingers: Floats, speeds: Floats) -> bool:

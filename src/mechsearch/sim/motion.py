@@ -17,7 +17,7 @@ from mechsearch.sim.arm import (
     TABLE,
     Arm,
 )
-from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, compile_scene
+from mechsearch.sim.scene import PhysicsConfig, Tool, Workspace, compile_scene
 from mechsearch.types import Array, Floats, check_extra
 
 _MARGIN = 0.05
@@ -26,7 +26,7 @@ _MARGIN = 0.05
 _LEAST_MANIPULABILITY = 0.03
 """Of the tool's position and tilt: their slowest change for a unit of joint velocity [m, rad]."""
 
-_TOOL_SPEED = 0.25
+TOOL_SPEED = 0.25
 """Of the tool, at most [m/s]: reduced speed in ISO 10218-1, with people near."""
 
 _SHARES = 0.8, 0.5
@@ -40,11 +40,14 @@ _HOMING = 0.1
 """Share of its way home that what is left free, the yaw above all, goes from each waypoint to the
 next: nothing jumps, and nothing drifts."""
 
-_WAYPOINTS, _SAMPLES = 4, 17
+_WAYPOINTS, _MOST_WAYPOINTS, _SAMPLES = 4, 8, 17
+_APART = 0.06, 0.4
+"""Waypoints of longer ways are at most so far apart, as far as there are enough [m, rad]."""
+
 _NEAR, _UPRIGHT = 1e-4, 1e-3
 """How well the inverse is solved [m, rad]."""
 
-_PEAK = 15 / 8
+PEAK = 15 / 8
 """Largest velocity on a quintic's way over its mean."""
 
 
@@ -83,7 +86,9 @@ class Dynamics:
 
 
 class Kinematics:
-    """An arm that holds the pusher, without anything around it but the table.
+    """An arm that holds a tool, without anything around it but the table.
+
+    The tool is the pusher, or a gripper, which is taken as if it were always open.
 
     Every answer depends on what is asked alone, not on what was asked before.
 
@@ -92,7 +97,7 @@ class Kinematics:
         sizes: Radius and length [m] of each capsule of arm and tool, the tool's the last.
     """
 
-    def __init__(self, arm: Arm, pusher: Pusher) -> None:
+    def __init__(self, arm: Arm, tool: Tool) -> None:
         """Compile the arm.
 
         Raises:
@@ -101,7 +106,9 @@ class Kinematics:
         check_extra(f"robot {arm.name!r}", "arms")
         mink: Any = importlib.import_module("mink")
         self.arm, self._mink = arm, mink
-        self._model = model = compile_scene((), Workspace(), pusher, (), PhysicsConfig(), arm=arm)
+        self._model = model = compile_scene(
+            (), Workspace(), tool, (), PhysicsConfig(), arm=arm, with_fingers=False
+        )
         self._data = mujoco.MjData(model)
         self._tip = model.site("tip").id
         self._table = model.geom("table").id
@@ -117,6 +124,7 @@ class Kinematics:
         self._place = mink.FrameTask("tip", "site", position_cost=1.0, orientation_cost=0.0)
         upright = mink.AxisAlignTask("tip", "site", axis=(0.0, 0.0, 1.0), cost=1.0)
         upright.set_target(np.array([0.0, 0.0, 1.0]))
+        self._pose = mink.FrameTask("tip", "site", position_cost=1.0, orientation_cost=1.0)
         self._posture = mink.PostureTask(model, cost=1e-3)
         self._tasks = [self._place, upright, self._posture]
         self._configuration = mink.Configuration(model, self._home)
@@ -161,12 +169,20 @@ class Kinematics:
             data.site_xmat[self._tip].reshape(3, 3).copy(),
         )  # fmt: skip
 
-    def inverse(self, position: Array, start: Array | None = None) -> Floats | str:
-        """Return joint angles (J,) [rad] that hold the tool upright, its tip at a position.
+    def rotation(self, angles: Array) -> Floats:
+        """Return the tool's rotation (3, 3) at joint angles (J,) [rad]."""
+        self.position(angles)
+        return np.array(self._data.site_xmat[self._tip]).reshape(3, 3)
+
+    def inverse(
+        self, position: Array, start: Array | None = None, rotation: Array | None = None
+    ) -> Floats | str:
+        """Return joint angles (J,) [rad] that hold the tool with its tip at a position.
 
         Args:
             position: Of the tip (3,) [m].
             start: Angles (J,) from which they are sought; by default home, facing the position.
+            rotation: Of the tool (3, 3); None holds it upright, whatever its yaw.
 
         Returns:
             The angles, or the name of the reason why there are none: `OUT_OF_REACH`, or
@@ -178,14 +194,16 @@ class Kinematics:
         begin = facing if start is None else np.asarray(start, np.float64)
         self._posture.set_target(begin + _HOMING * (facing - begin))
         configuration.update(begin)
+        place, tasks = self._place, self._tasks
+        if rotation is not None:
+            place, tasks = self._pose, [self._pose, self._posture]
         for _ in range(60):
             now = configuration.get_transform_frame_to_world("tip", "site")
-            target = mink.SE3.from_rotation_and_translation(now.rotation(), np.asarray(position))
-            self._place.set_target(target)
+            turn = now.rotation() if rotation is None else mink.SO3.from_matrix(rotation)
+            target = mink.SE3.from_rotation_and_translation(turn, np.asarray(position))
+            place.set_target(target)
             try:
-                step = mink.solve_ik(
-                    configuration, self._tasks, 1.0, "daqp", 1e-9, limits=self._limits
-                )
+                step = mink.solve_ik(configuration, tasks, 1.0, "daqp", 1e-9, limits=self._limits)
             except mink.NoSolutionFound:
                 break
             configuration.integrate_inplace(step, 1.0)
@@ -193,7 +211,11 @@ class Kinematics:
                 break
         angles: Floats = configuration.q.copy()
         error = np.linalg.norm(self.position(angles) - position)
-        tilt = np.linalg.norm(self._data.site_xmat[self._tip].reshape(3, 3)[:2, 2])
+        found = self._data.site_xmat[self._tip].reshape(3, 3)
+        if rotation is None:
+            tilt = float(np.linalg.norm(found[:2, 2]))
+        else:
+            tilt = float(np.linalg.norm(found - rotation))
         if error < _NEAR and tilt < _UPRIGHT:
             turned = start is None and np.abs(angles - facing).max() > _OTHER_POSTURE
             return JOINT_LIMIT if turned else angles
@@ -217,7 +239,46 @@ class Kinematics:
             return None
         return TABLE if (self._data.contact.geom == self._table).any() else SELF_COLLISION
 
-    def plan(self, start: Array, goal: Array, time_step: float, least: int) -> Plan | str:
+    def path(
+        self, start: Array, goal: Array, rotation: Array | None = None
+    ) -> tuple[Floats, float] | str:
+        """Return the joints' way while the tip goes straight to a goal, or why it is refused.
+
+        Args:
+            start: Joint angles (J,) [rad].
+            goal: Of the tip (3,) [m].
+            rotation: Of the tool at the end (3, 3), to which it turns evenly; None holds it
+                upright, whatever its yaw.
+
+        Returns:
+            The polynomial in the share of the way, the lowest power first (P, J), and the length
+            of the way [m].
+        """
+        begin = self.position(start)
+        way = np.asarray(goal, np.float64) - begin
+        length, turn, count = float(np.linalg.norm(way)), np.zeros(3), _WAYPOINTS
+        if rotation is not None:
+            held = self.rotation(start)
+            turn = _rotation_vector(rotation @ held.T)
+        needed = max(length / _APART[0], float(np.linalg.norm(turn)) / _APART[1])
+        count = min(max(count, int(np.ceil(needed))), _MOST_WAYPOINTS)
+        path = [np.array(start, np.float64)]
+        for share in np.arange(1, count + 1) / count:
+            towards = None if rotation is None else _turned(held, share * turn)
+            angles = self.inverse(begin + share * way, path[-1], towards)
+            if isinstance(angles, str):
+                return angles
+            refused = self.refusal(angles)
+            if refused is not None:
+                return refused
+            path.append(angles)
+        # The polynomial through all of them, the lowest power first.
+        powers = np.vander(np.linspace(0.0, 1.0, len(path)), increasing=True)
+        return np.asarray(np.linalg.solve(powers, np.array(path)), np.float64), length
+
+    def plan(
+        self, start: Array, goal: Array, time_step: float, least: int, rotation: Array | None = None
+    ) -> Plan | str:
         """Return the motion that brings the tip straight to a goal, or why it is refused.
 
         It lasts as long as the slowest of its limits demands: the tool's speed, the joints'
@@ -228,39 +289,37 @@ class Kinematics:
             goal: Of the tip (3,) [m].
             time_step: Of the control [s].
             least: Fewest steps.
+            rotation: Of the tool at the end; see `path`.
         """
-        begin = self.position(start)
-        way = np.asarray(goal, np.float64) - begin
-        path = [np.array(start, np.float64)]
-        for share in np.arange(1, _WAYPOINTS + 1) / _WAYPOINTS:
-            angles = self.inverse(begin + share * way, path[-1])
-            if isinstance(angles, str):
-                return angles
-            refused = self.refusal(angles)
-            if refused is not None:
-                return refused
-            path.append(angles)
-        # The polynomial through all of them, the lowest power first.
-        powers = np.vander(np.linspace(0.0, 1.0, len(path)), increasing=True)
-        curve = np.asarray(np.linalg.solve(powers, np.array(path)), np.float64)
-        seconds = max(self._time(curve), _PEAK * float(np.linalg.norm(way)) / _TOOL_SPEED)
+        found = self.path(start, goal, rotation)
+        if isinstance(found, str):
+            return found
+        curve, length = found
+        seconds = max(self.least_time(curve), PEAK * length / TOOL_SPEED)
         steps = max(int(np.ceil(seconds / time_step)), least)
         share = np.arange(1, steps + 1) / steps
         return Plan(*_quintic(curve, share, steps * time_step))
 
-    def _time(self, curve: Floats) -> float:
-        """Return how long a way must take for the joints' limits [s]."""
-        angles, velocities, accelerations = _quintic(curve, np.linspace(0.0, 1.0, _SAMPLES), 1.0)
-        speed = (np.abs(velocities) / (_SHARES[0] * self._velocity)).max()
-        squared = 0.0
-        for q, v, a in zip(angles, velocities, accelerations, strict=True):
-            weight = self.dynamics(q, np.zeros_like(v)).bias
-            moving = self.dynamics(q, v)
-            # What is not weight falls with the square of the time that a motion takes.
-            torque = np.abs(moving.inertia @ a + moving.bias - weight)
-            room = np.maximum(_SHARES[1] * self._torque - np.abs(weight), 0.1 * self._torque)
-            squared = max(squared, float((torque / room).max()))
-        return float(max(speed, np.sqrt(squared)))
+    def least_time(self, curve: Floats) -> float:
+        """Return how long a way (P, J) must take for the joints' limits [s]; see `path`."""
+        moments = _quintic(curve, np.linspace(0.0, 1.0, _SAMPLES), 1.0)
+        return max(self.haste(*moment) for moment in zip(*moments, strict=True))
+
+    def haste(self, angles: Floats, velocities: Floats, accelerations: Floats) -> float:
+        """Return how many times too fast a motion is for the joints' limits at one instant.
+
+        Args:
+            angles: (J,) [rad].
+            velocities: (J,) [rad/s].
+            accelerations: (J,) [rad/s^2].
+        """
+        weight = self.dynamics(angles, np.zeros_like(velocities)).bias
+        moving = self.dynamics(angles, velocities)
+        # What is not weight falls with the square of the time that a motion takes.
+        torque = np.abs(moving.inertia @ accelerations + moving.bias - weight)
+        room = np.maximum(_SHARES[1] * self._torque - np.abs(weight), 0.1 * self._torque)
+        speed = np.abs(velocities) / (_SHARES[0] * self._velocity)
+        return float(max(speed.max(), np.sqrt((torque / room).max())))
 
     def _jacobian(self) -> Floats:
         jacobian = np.empty((6, self._model.nv))
@@ -269,9 +328,25 @@ class Kinematics:
 
 
 @cache
-def kinematics_of(arm: Arm, pusher: Pusher) -> Kinematics:
+def kinematics_of(arm: Arm, tool: Tool) -> Kinematics:
     """Return an arm's kinematics, which are compiled once."""
-    return Kinematics(arm, pusher)
+    return Kinematics(arm, tool)
+
+
+def _rotation_vector(rotation: Floats) -> Floats:
+    """Return the axis (3,) about which a matrix (3, 3) turns, as long as the angle [rad]."""
+    quaternion, vector = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    mujoco.mju_quat2Vel(vector, quaternion, 1.0)
+    return vector
+
+
+def _turned(rotation: Floats, vector: Floats) -> Floats:
+    """Return a rotation (3, 3) turned about an axis (3,) as long as the angle [rad]."""
+    quaternion, matrix = np.array([1.0, 0.0, 0.0, 0.0]), np.empty(9)
+    mujoco.mju_quatIntegrate(quaternion, vector, 1.0)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3) @ rotation
 
 
 def _quintic(curve: Floats, u: Floats, seconds: float) -> tuple[Floats, Floats, Floats]:

@@ -21,6 +21,7 @@ from mechsearch.sim.gripper import (
     add_slide,
     add_travelling_cup,
     add_travelling_gripper,
+    hold_gripper,
     set_inertia,
 )
 from mechsearch.types import Array, Floats
@@ -154,6 +155,10 @@ class Pusher:
         return np.concatenate([position, _UPRIGHT])
 
 
+Tool = Pusher | Gripper
+"""What an arm holds."""
+
+
 @cache
 def pusher_model(pusher: Pusher, sides: int = 16, rings: int = 4) -> ObjectModel:
     """Return the pusher's mesh for rendering, its origin at the tip."""
@@ -206,16 +211,18 @@ class Wall:
 def compile_scene(
     models: Sequence[ObjectModel],
     workspace: Workspace,
-    pusher: Pusher | None,
+    pusher: Tool | None,
     walls: Sequence[Wall],
     config: PhysicsConfig,
     gripper: Gripper | None = None,
     travelling: Sequence[AnyGripper] = (),
     arm: Arm | None = None,
+    with_fingers: bool = True,
 ) -> mujoco.MjModel:
     """Return the engine's model: the objects' free joints first, then the robot's own.
 
-    A pusher slides along three axes, or is held by an arm.
+    A pusher slides along three axes, or is held by an arm, which may hold a gripper in its place,
+    with fingers that move, or stay open.
     """
     spec = mujoco.MjSpec()
     option = spec.option
@@ -232,8 +239,13 @@ def compile_scene(
         _add_object(spec, i, model)
     _add_table(spec, workspace)
     if pusher is not None and arm is not None:
-        _add_tool(add_arm(spec, arm, AMONG_OBJECTS, WITH_TABLE), pusher)
-    elif pusher is not None:
+        flange = add_arm(spec, arm, AMONG_OBJECTS, WITH_TABLE)
+        if isinstance(pusher, Gripper):
+            bits = AMONG_OBJECTS | WITH_TABLE | WITH_ARM, AMONG_OBJECTS
+            hold_gripper(spec, flange, pusher, *bits, with_fingers)
+        else:
+            _add_tool(flange, pusher)
+    elif isinstance(pusher, Pusher):
         _add_pusher(spec, pusher)
     if gripper is not None:
         add_gripper(spec, gripper, AMONG_OBJECTS, WITH_TABLE)

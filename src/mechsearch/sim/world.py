@@ -13,7 +13,15 @@ import numpy as np
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.arm import Arm, ArmMotion
 from mechsearch.sim.gripper import AnyGripper
-from mechsearch.sim.scene import PhysicsConfig, Pusher, Wall, Workspace, compile_scene, reset_data
+from mechsearch.sim.scene import (
+    PhysicsConfig,
+    Pusher,
+    Tool,
+    Wall,
+    Workspace,
+    compile_scene,
+    reset_data,
+)
 from mechsearch.sim.travel import FreeTravel, Outlines, clear_steps, free_travel
 from mechsearch.types import Array, Floats, check_extra
 
@@ -116,7 +124,7 @@ class World:
         self,
         models: Sequence[ObjectModel],
         workspace: Workspace | None = None,
-        pusher: Pusher | None = None,
+        pusher: Tool | None = None,
         walls: Sequence[Wall] = (),
         config: PhysicsConfig | None = None,
         grippers: Sequence[AnyGripper] = (),
@@ -131,7 +139,7 @@ class World:
             walls: Confining walls.
             config: Numerical choices.
             grippers: Travelling ones in place of a pusher: the first pushes, its jaws closed.
-            arm: What holds the pusher; None leaves it free.
+            arm: What holds the pusher, or a gripper in its place; None leaves it free.
         """
         self.config = config or PhysicsConfig()
         self.workspace = workspace or Workspace()
