@@ -43,6 +43,23 @@ def test_segment_test_and_show_judge_a_network(
         assert image.height > entry["targets"] * 256
 
 
+def test_an_estimate_is_trained_on_images_of_episodes_and_stops_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["--split", "train", "--limit", "3", "--max-actions", "2", "--stop", "never"]
+    main(["evaluate", "random", "--heaps", *HEAPS, *few, "--out", str(tmp_path)])
+    images = ["segment", "images", "--heaps", *HEAPS, "--out", str(tmp_path / "images")]
+    shown = ["--episodes", str(tmp_path / "random.npz"), "--views", "1", "--variants", "0"]
+    main([*images, *shown, "--also"])
+    train = ["segment", "occlusion", "--images", str(tmp_path / "images"), "--updates", "1"]
+    capsys.readouterr()
+    main([*train, "--validation", "0.4", "--out", str(tmp_path / "run")])
+    assert "on validation heaps, occlusion is off by" in capsys.readouterr().out
+    stop = ["--stop", str(tmp_path / "run" / "network.safetensors"), "--limit", "1"]
+    main(["evaluate", "idle", "--heaps", *HEAPS, *stop, "--out", str(tmp_path), "--brief"])
+    main(["verify", str(tmp_path / "idle.npz"), "--heaps", *HEAPS])
+
+
 def test_what_segmentation_refuses_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for option in ("segmenter", "sensor"):
         said = failure(["segment", "test", *HEAPS, f"--{option}", "x"], capsys)

@@ -39,6 +39,9 @@ OCCLUSION_KEY = "occlusion"
 RETRIEVAL_KEYS = (*ACTOR_KEYS, *GRASP_KEYS, *BUDGET_KEYS)
 """What is seen in retrieval."""
 
+CALLED_UNCOVERED = 0.05
+"""Occlusion up to which a policy is right that calls its target uncovered."""
+
 ACTION_LENGTH = 0.05
 """Longest displacement of the end effector in one action [m] (paper, section IV-A)."""
 

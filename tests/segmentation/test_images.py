@@ -10,6 +10,7 @@ from mechsearch.camera import preset
 from mechsearch.heaps.dataset import embedded_heaps, object_set
 from mechsearch.render.renderer import Renderer
 from mechsearch.segmentation.images import ImageConfig, load_images, make_images, see_heaps
+from mechsearch.sim import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
 HEAPS = Path("household-single")
@@ -84,3 +85,23 @@ def test_what_does_not_fit_is_refused(folder, tmp_path):
     ):  # fmt: skip
         with pytest.raises(MechSearchError, match=words):
             ImageConfig(**wrong)
+
+
+def test_moments_of_episodes_are_shown_as_they_were(tmp_path):
+    heap_set = embedded_heaps("single")
+    heap = heap_set.heaps[heap_set.choose("all", 1)[0]]
+    poses = np.stack([heap.poses] * 2)
+    poses[:, :, 0] += 0.05
+    tips = np.array([[0.2, 0.2, 0.05]] * 2)
+    config, courses = replace(PLAIN, limit=0), {heap.seed: (poses, tips)}
+    make_images(HEAPS, "", config, tmp_path, courses=courses)
+    seen = load_images([tmp_path])
+    models, camera = object_set("household").models, preset("overhead", 128)
+    renderer = Renderer([models[name] for name in heap.objects], pusher_model(Pusher()))
+    frame = renderer.frame(camera, poses[0], Pusher().pose(tips[0]))
+    np.testing.assert_array_equal(seen.images.ids[0], np.maximum(frame.ids + 1, 0))
+    assert seen.images.heap.tolist() == [heap.seed]
+    with pytest.raises(MechSearchError, match="made from another courses; name another folder"):
+        make_images(HEAPS, "", config, tmp_path, courses={heap.seed: (poses, tips + 0.1)})
+    with pytest.raises(MechSearchError, match="1 of 1 episodes are on no heap of the split all"):
+        make_images(HEAPS, "", config, tmp_path / "other", courses={-1: (poses, tips)})

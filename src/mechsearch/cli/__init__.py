@@ -44,6 +44,8 @@ COMMANDS = {
     "grasp ceiling": ("grasping:FindCeiling", "which targets can grippers lift at all?"),
     "segment images": ("segmentation:MakeImages", "render heaps for training a segmentation"),
     "segment train": ("segmentation:TrainSegmentation", "train a segmentation, or go on"),
+    "segment occlusion": ("segmentation:TrainOcclusion", "train an estimate of what is hidden"),
+    "segment reference": ("segmentation:MakeReference", "views of an object by photographs"),
     "segment test": ("segmentation:TestSegmentation", "hold masks against the truth on heaps"),
     "segment show": ("segmentation:ShowSegmentation", "draw images, truth and masks"),
     "benchmark list": ("benchmark:ListSplits", "the benchmark's tasks, splits and heaps"),

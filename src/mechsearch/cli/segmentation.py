@@ -23,7 +23,7 @@ from mechsearch.cli.command import (
     say_table,
     wrote,
 )
-from mechsearch.evaluation.episodes import mean_interval, share_interval
+from mechsearch.evaluation.episodes import load_episodes, mean_interval, share_interval
 from mechsearch.pictures.canvas import captioned, tiled, tinted
 from mechsearch.segmentation.images import (
     ImageConfig,
@@ -33,6 +33,8 @@ from mechsearch.segmentation.images import (
     see_heaps,
 )
 from mechsearch.segmentation.judging import Found, found_by, partly_hidden
+from mechsearch.segmentation.occlusion_training import OcclusionTrainConfig, train_occlusion
+from mechsearch.segmentation.photographs import save_references, views_of_photographs
 from mechsearch.segmentation.segmenter import (
     LEAST_CONFIDENCE,
     SHIPPED,
@@ -51,6 +53,8 @@ class MakeImages(OfObjects, Parallel):
     Attributes:
         heaps: Heap set (.parquet).
         out: Folder for the images.
+        episodes: Recorded episodes (.npz) on these heaps: moments of them are shown in place of
+            heaps as they were dropped.
         unseen: Keep the benchmark's unseen objects; by default others lie in their places.
         config: What images.
     """
@@ -59,6 +63,7 @@ class MakeImages(OfObjects, Parallel):
 
     heaps: Path
     out: Path
+    episodes: Path | None = None
     unseen: bool = False
     config: Annotated[ImageConfig, FLAT] = field(default_factory=ImageConfig)
 
@@ -66,8 +71,12 @@ class MakeImages(OfObjects, Parallel):
         """Make the images."""
         without = () if self.unseen else UNSEEN
         config = replace(self.config, without=(*self.config.without, *without))
+        courses = None
+        if self.episodes is not None:
+            records = load_episodes(self.episodes).episodes
+            courses = {r.heap_seed: (r.poses, r.ee_positions) for r in records}
         with bars() as progress:
-            make_images(self.heaps, self.objects, config, self.out, self.workers, progress)
+            make_images(self.heaps, self.objects, config, self.out, self.workers, progress, courses)
         wrote(self.out)
 
 
@@ -100,6 +109,63 @@ class TrainSegmentation(Command):
             f"less than half is hidden, {last['iou_hidden']:.3f} where more is, on validation heaps"
         )
         wrote(self.out)
+
+
+@dataclass(frozen=True)
+class TrainOcclusion(Command):
+    """Train a network that estimates how much of an object is hidden, or go on with a training.
+
+    Attributes:
+        images: Folders that `mechsearch segment images` wrote; one that is named twice counts
+            twice.
+        out: Folder for checkpoint and network; one that was cut off is continued.
+        config: How to train.
+    """
+
+    keeps = "the updates up to the last checkpoint are"
+
+    images: tuple[Path, ...]
+    out: Path
+    config: Annotated[OcclusionTrainConfig, FLAT] = field(default_factory=OcclusionTrainConfig)
+
+    def run(self) -> None:
+        """Train, and say how good the network is on validation heaps."""
+        seen = load_images(self.images)
+        with bars() as progress:
+            last = train_occlusion(seen, self.config, self.out, progress)[-1]
+        say(
+            f"on validation heaps, occlusion is off by {last['error']:.3f}; of the uncovered, "
+            f"{last['recall']:.1%} are found where 95 % of what is found is"
+        )
+        wrote(self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeReference(Command):
+    """Write reference views of an object by photographs of it, each with a mask.
+
+    A photograph's mask is what is not transparent in it, or a picture beside it: cup-mask.png of
+    cup.jpg, black but for the object.
+
+    Attributes:
+        photographs: Pictures, and folders of them.
+        out: File (.npz) to write.
+        pixel: Side of a pixel at the object [m], the same in all, where it is known.
+    """
+
+    writes = (("out", (".npz",)),)
+
+    photographs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PHOTOGRAPH [...]")
+    ]
+    out: Path
+    pixel: float = 0.0
+
+    def run(self) -> None:
+        """Cut the object out of each photograph."""
+        references = views_of_photographs(self.photographs, self.pixel)
+        save(self.out, lambda to: save_references(to, references))
+        say(f"{len(references.width)} views")
 
 
 @dataclass(frozen=True, kw_only=True)

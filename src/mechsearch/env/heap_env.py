@@ -19,6 +19,9 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.sim import FREE, ArmWorld, HeapWorld, arm_named, heap_world, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError, check_extra
 
+_NEVER_UNSURE = -1
+"""In place of the number of sure looks, before the first that is not."""
+
 
 class HeapEnv(SceneEnv[HeapWorld]):
     """Episodes over a list of heaps.
@@ -26,10 +29,11 @@ class HeapEnv(SceneEnv[HeapWorld]):
     `reset(options=...)` takes `heap`, the index of the heap, and `fixed_start`, whether the end
     effector starts where this heap's own seed says, so that all policies start alike.
     `info` holds `reward_terms`, `occlusion`, `end` (None while the episode goes on, else
-    "uncovered", "action limit", "lost" or "failure: ..."), `failure` (a simulator failure's name or
-    None: such a transition must not be learnt from), `clutter_moved` (mean displacement of the
-    non-target objects in this action [m]) and `target_moved` [m]. Where an arm pushes, there are
-    also `refused`, the reason for which it did not move or None, and `motion`, a `sim.ArmMotion`.
+    "uncovered", "stopped", "action limit", "lost" or "failure: ..."), `failure` (a simulator
+    failure's name or None: such a transition must not be learnt from), `clutter_moved` (mean
+    displacement of the non-target objects in this action [m]) and `target_moved` [m]. Where an arm
+    pushes, there are also `refused`, the reason for which it did not move or None, and `motion`, a
+    `sim.ArmMotion`. "stopped" is the end where the task's `stop` looks at images.
     """
 
     def __init__(
@@ -64,7 +68,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         self.no_reward = dict.fromkeys(terms, 0.0)
         self.observation_space = self._scene.observer.space
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self._actions, self._over = 0, True
+        self._actions, self._sure, self._over = 0, _NEVER_UNSURE, True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -78,7 +82,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         super().reset(seed=seed)
         scene = self._scene
         index = scene.reset(self.np_random, options)
-        self._actions = 0
+        self._actions, self._sure = 0, _NEVER_UNSURE
         self._over = False
         return scene.observe(0), {"occlusion": scene.occlusion, "heap": index}
 
@@ -107,18 +111,13 @@ class HeapEnv(SceneEnv[HeapWorld]):
             before, scene.occlusion, clutter, target_moved,
             max(map(abs, (command - target).tolist())) > 1e-9, config.uncovered_at, config.reward,
         )  # fmt: skip
-        end = None
-        if not scene.target_is_present:
-            end = "lost"
-        elif scene.occlusion <= config.uncovered_at:
-            end = "uncovered"
-        elif self._actions >= config.max_actions:
-            end = "action limit"
-        return self._result(reward, clutter, target_moved, end)
+        return self._result(reward, clutter, target_moved, self._end())
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that the rest of the episode depends on, as arrays."""
         counts = {"actions": np.array(self._actions), "over": np.array(self._over)}
+        if self._scene.judge is not None:
+            counts["sure"] = np.array(self._sure)
         return self._scene.snapshot() | counts
 
     def restore(self, snapshot: dict[str, Array]) -> dict[str, Array]:
@@ -127,7 +126,9 @@ class HeapEnv(SceneEnv[HeapWorld]):
         Raises:
             MechSearchError: If it is none of an environment of this kind with the same heaps.
         """
-        self._actions, over = self._scene.restore(snapshot, ("actions", "over"))
+        judged = () if self._scene.judge is None else ("sure",)
+        counts = self._scene.restore(snapshot, ("actions", "over", *judged))
+        self._actions, over, self._sure = (*counts, _NEVER_UNSURE)[:3]
         self._over = bool(over)
         return self._scene.observe(self._actions)
 
@@ -136,6 +137,22 @@ class HeapEnv(SceneEnv[HeapWorld]):
         if arm is not None:
             return ArmWorld(models, arm, config.workspace, config.pusher, config.physics)
         return heap_world(config.engine, models, config.workspace, config.pusher, config.physics)
+
+    def _end(self) -> str | None:
+        """Return how the episode ends with an action that physics survived, or None."""
+        scene, config = self._scene, self.config
+        if not scene.target_is_present:
+            return "lost"
+        if config.simulator_stops and scene.occlusion <= config.uncovered_at:
+            return "uncovered"
+        if scene.judge is not None:
+            if not scene.is_sure(self._actions):
+                self._sure = 0
+            elif self._sure != _NEVER_UNSURE:
+                self._sure += 1
+            if self._sure >= scene.judge.looks:
+                return "stopped"
+        return "action limit" if self._actions >= config.max_actions else None
 
     def _result(
         self,
@@ -146,7 +163,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         failure: str | None = None,
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         scene = self._scene
-        self._over, terminated = end is not None, end in ("lost", "uncovered")
+        self._over, terminated = end is not None, end in ("lost", "uncovered", "stopped")
         info = {
             "reward_terms": dict(reward),
             "occlusion": scene.occlusion,

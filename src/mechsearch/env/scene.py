@@ -61,6 +61,7 @@ class HeapScene(Generic[W]):
 
     Attributes:
         observer: Makes the observations, and knows their space.
+        judge: Estimates from images what is hidden; None where the task asks for no estimate.
         camera: From which occlusion is measured.
         world: The physics.
         renderer: Of its objects and the end effector.
@@ -128,7 +129,7 @@ class HeapScene(Generic[W]):
         )
         # Occlusion is measured from the standard view, whatever the policy's image size.
         self.camera = preset(config.camera)
-        self._finder = config.finder
+        self._finder, self.judge = config.finder, config.judge
         self._kept: OrderedDict[int, tuple[W, Renderer]] = OrderedDict()
         self._index, self._episode = -1, 0
 
@@ -286,6 +287,19 @@ class HeapScene(Generic[W]):
                 label=self._labels[heap.objects[heap.target]],
             )
         )
+
+    def is_sure(self, step: int) -> bool:
+        """Return whether the target looks uncovered on an image, after so many actions."""
+        judge, target = self.judge, self.heap.target
+        assert judge is not None
+        depth, mask, rgb = self.sense(
+            judge.camera, step, self.poses, self._effector_pose() if self._robot_in_view else None,
+            lambda frame: frame.modal(target), self._finder is not None,
+        )  # fmt: skip
+        model = self._objects.models[self.heap.objects[target]]
+        if self._finder is not None:
+            mask = self._finder.visible(model, rgb, depth, judge.camera.width)
+        return judge.is_sure(model, depth, mask)
 
     def _found(self, step: int) -> Array:
         """Return where a segmenter sees the target (H, W), after so many actions.

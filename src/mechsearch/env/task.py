@@ -11,7 +11,14 @@ from mechsearch.camera import preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
 from mechsearch.observe.sensor import Sensor, SensorMixture, sensor_named
-from mechsearch.segmentation.segmenter import TRUE, TargetFinder, check_segmenter
+from mechsearch.segmentation.segmenter import (
+    NEVER,
+    TRUE,
+    Judge,
+    TargetFinder,
+    check_segmenter,
+    check_stop,
+)
 from mechsearch.sim import (
     ENGINES,
     FREE,
@@ -54,6 +61,8 @@ class TaskConfig:
         sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh".
         segmenter: What finds the target's visible part: "true", the simulator itself; "shipped", a
             network; a network's file; or package.module:factory.
+        stop: Who ends an episode because the target is uncovered: "true", the simulator; "shipped",
+            a network that estimates from images what is hidden; a network's file; or "never".
         max_actions: Length of an episode (paper: 50).
         uncovered_at: Occlusion up to which the target counts as completely visible.
         start_distance: Least distance from start to target [m] (paper: 0.2).
@@ -71,6 +80,7 @@ class TaskConfig:
     image_size: int = 64
     sensor: str = "perfect"
     segmenter: str = TRUE
+    stop: str = TRUE
     max_actions: int = 50
     uncovered_at: float = 0.02
     start_distance: float = 0.2
@@ -86,6 +96,7 @@ class TaskConfig:
         preset(self.camera, self.image_size)
         sensor_named(self.sensor)
         check_segmenter(self.segmenter)
+        check_stop(self.stop)
         arm_named(self.robot)
         physics, workspace, pusher = self.physics, self.workspace, self.pusher
         least = _LEAST | {"physics.contact_time": 2 * physics.time_step}
@@ -128,6 +139,16 @@ class TaskConfig:
     def finder(self) -> TargetFinder | None:
         """A new one of what `segmenter` names; None of the simulator's own masks."""
         return None if self.segmenter == TRUE else TargetFinder(self.segmenter, self.camera)
+
+    @property
+    def simulator_stops(self) -> bool:
+        """Whether the simulator ends an episode because the target is uncovered."""
+        return self.stop == TRUE
+
+    @property
+    def judge(self) -> Judge | None:
+        """A new one of what `stop` names; None where no image is asked."""
+        return None if self.stop in (TRUE, NEVER) else Judge(self.stop, self.camera)
 
 
 @dataclass(frozen=True)
@@ -221,6 +242,11 @@ class RetrievalTask(TaskConfig):
             raise MechSearchError(
                 f"segmenter is {self.segmenter!r}; grasps are planned on masks of all objects, "
                 f"which only {TRUE!r} has"
+            )
+        if self.stop != TRUE:
+            raise MechSearchError(
+                f"stop is {self.stop!r}; expected {TRUE!r}: retrieval ends with the target in "
+                "the hand"
             )
         jaws = [name for name, each in GRIPPERS.items() if isinstance(each, Gripper)]
         if self.robot != FREE and (len(self.grippers) > 1 or self.grippers[0] not in jaws):

@@ -71,8 +71,11 @@ def roll_out(
 
 
 def imageless(env: Env) -> Env:
-    """Return a copy of an environment that takes its snapshots, and observes positions alone."""
-    config = replace(env.config, keys=TEACHER_KEYS, privileged=True)
+    """Return a copy of an environment that takes its snapshots, and observes positions alone.
+
+    The simulator says there when the target is uncovered.
+    """
+    config = replace(env.config, keys=TEACHER_KEYS, privileged=True, stop=type(env.config).stop)
     return type(env)(env.heaps, env.objects, config)
 
 

@@ -20,6 +20,7 @@ from scipy import stats
 
 from mechsearch.files import ARRAY_DAMAGE, locked, read_arrays, write_text, write_whole
 from mechsearch.types import (
+    CALLED_UNCOVERED,
     DECISION_NAMES,
     DECISION_SIZE,
     GRASP,
@@ -35,7 +36,10 @@ EPISODE_FORMAT = 1
 RETRIEVAL_FORMAT = 2
 """Of files whose episodes are of retrieval, which earlier versions cannot read."""
 
-UNCOVERED = "uncovered"
+UNCOVERED, STOPPED = "uncovered", "stopped"
+"""Ends of an episode: the simulator says that the target is uncovered; what looks at images does.
+"""
+
 _STATES = ("ee_positions", "occlusions", "poses")
 _STEPS = ("actions", "clutter_moved", "target_moved")
 _FACTS = ("heap_seed", "count", "condition", "policy", "target", "end", "action_limit")
@@ -132,8 +136,9 @@ class EpisodeRecord:
         reward_terms: Each named reward term (T,).
         clutter_moved: Mean displacement of the other objects in each action (T,) [m].
         target_moved: Displacement of the target in each action (T,) [m].
-        end: "uncovered", "action limit", "lost" or "failure: reason"; in retrieval "retrieved" or
-            "budget" in place of the first two. It is empty while the episode goes on.
+        end: "uncovered" or "stopped", "action limit", "lost" or "failure: reason"; in retrieval
+            "retrieved" or "budget" in place of the first three. It is empty while the episode goes
+            on.
         action_limit: Number of actions after which the episode would have been cut; in retrieval of
             pushes, at most.
         grasp: What a gripper could do with the target; None where it was not measured.
@@ -182,8 +187,9 @@ class EpisodeRecord:
 
     @property
     def uncovered(self) -> bool:
-        """Whether the target ended completely visible."""
-        return self.end == UNCOVERED
+        """Whether the episode ended because the target was completely visible, or nearly so."""
+        right = self.end == STOPPED and self.occlusions[-1] <= CALLED_UNCOVERED
+        return self.end == UNCOVERED or bool(right)
 
     @property
     def removed(self) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mechsearch.camera import Camera, preset
 from mechsearch.env import HeapEnv, HeapEnvConfig, RetrieveConfig, RetrieveEnv, task_from_json
-from mechsearch.evaluation.episodes import IN_HAND, UNCOVERED, EpisodeRecord, Evaluation
+from mechsearch.evaluation.episodes import IN_HAND, STOPPED, EpisodeRecord, Evaluation
 from mechsearch.heaps.dataset import Heap, recorded_objects
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
@@ -48,12 +48,12 @@ class Frames:
     @property
     def success(self) -> bool:
         """Whether it was done."""
-        return self.record.end in (UNCOVERED, IN_HAND)
+        return self.record.uncovered or self.record.end == IN_HAND
 
     @property
     def terminated(self) -> bool:
         """Whether the task was over in the end, rather than the time."""
-        return self.success or self.record.end == "lost"
+        return self.success or self.record.end in ("lost", STOPPED)
 
 
 def shown_task(header: Mapping[str, Any]) -> HeapEnvConfig:

@@ -390,6 +390,7 @@ _LATER = {
     "sensor": TaskConfig.sensor,
     "engine": TaskConfig.engine,
     "segmenter": TaskConfig.segmenter,
+    "stop": TaskConfig.stop,
     "robot": TaskConfig.robot,
 }
 """What of the task earlier versions had not, and how it was then."""

@@ -3,8 +3,9 @@
 Objects are those of the heaps and, at chance, variants of these and of others in their places.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
@@ -121,6 +122,21 @@ class Images:
 
 
 @dataclass(frozen=True, eq=False)
+class Course:
+    """What became of a heap while something pushed it about.
+
+    Attributes:
+        heap: As it was at first.
+        poses: Of its objects (T, N, 7).
+        tips: Of the end effector (T, 3) [m].
+    """
+
+    heap: Heap
+    poses: Floats
+    tips: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class ImageSet:
     """Images and the objects on them.
 
@@ -151,6 +167,7 @@ def make_images(
     path: Path,
     workers: int = 1,
     progress: Progress = silent,
+    courses: Mapping[int, tuple[Floats, Floats]] | None = None,
 ) -> None:
     """Fill a folder with images; go on if it was cut off.
 
@@ -161,27 +178,33 @@ def make_images(
         path: The folder.
         workers: Processes; the images do not depend on their number.
         progress: Told after each heap.
+        courses: Poses (T, N, 7) of objects and tips (T, 3) of the end effector, by the seed of the
+            heap that was pushed about: these heaps alone are shown, at moments that are drawn.
+            None shows heaps as they were dropped.
 
     Raises:
         MechSearchError: If the heap set is missing, the objects are others, the folder holds other
-            images, or another process fills it.
+            images, another process fills it, or a heap that was pushed about is of another split.
     """
     heap_set, objects = _opened(heaps, objects)
     with alone(path / "images", f"the images {path}"):
         plain = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}
         manifest = {"format": _FORMAT, "config": plain, "heap_set": heap_set.hash}
+        if courses is not None:
+            manifest["courses"] = _digest(courses)
         file = path / _MANIFEST_FILE
         if not file.exists():
             write_record(file, _PURPOSE, manifest)
         found = read_record(file, _PURPOSE, ("format", "config", "heap_set"))
-        differing = ", ".join(k for k, v in manifest.items() if found[k] != v)
+        known = dict.fromkeys((*manifest, *found))
+        differing = ", ".join(k for k in known if found.get(k) != manifest.get(k))
         if differing:
             raise MechSearchError(
                 f"{path} holds images made from another {differing}; name another folder"
             )
         if not (path / _LIBRARY_FILE).exists():
             _write_library(path / _LIBRARY_FILE, objects, config, workers, progress)
-        chosen = [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
+        chosen = _shown(heap_set, config, courses)
         make = partial(_images_of, objects=objects, config=config)
         parts = {
             path / f"images-{start // config.shard:05d}.npz": chosen[start : start + config.shard]
@@ -223,6 +246,28 @@ def see_heaps(
     shown = [models[number] for number in used]
     references = [render_references(model) for model in shown]
     return ImageSet(images, references, [model.name for model in shown])
+
+
+def _shown(
+    heap_set: HeapSet, config: ImageConfig, courses: Mapping[int, tuple[Floats, Floats]] | None
+) -> list[Heap] | list[Course]:
+    if courses is None:
+        return [heap_set.heaps[i] for i in heap_set.choose(config.split, config.limit)]
+    known = {heap_set.heaps[i].seed: heap_set.heaps[i] for i in heap_set.choose(config.split)}
+    strange = [seed for seed in courses if seed not in known]
+    if strange or not courses:
+        raise MechSearchError(
+            f"{len(strange)} of {len(courses)} episodes are on no heap of the split "
+            f"{config.split}; expected at least one, and all of them on such"
+        )
+    return [Course(known[seed], *states) for seed, states in courses.items()]
+
+
+def _digest(courses: Mapping[int, tuple[Floats, Floats]]) -> str:
+    content = hashlib.sha256()
+    for seed, (poses, tips) in courses.items():
+        content.update(str(seed).encode() + poses.tobytes() + tips.tobytes())
+    return content.hexdigest()
 
 
 def _opened(heaps: Path, objects: str) -> tuple[HeapSet, str]:
@@ -311,17 +356,23 @@ def _write_arrays(file: Path, arrays: Mapping[str, Array]) -> None:
     write_whole(file, lambda to: np.savez_compressed(to, allow_pickle=False, **arrays))
 
 
-def _images_of(heap: Heap, objects: str, config: ImageConfig) -> Images:
+def _images_of(shown: Heap | Course, objects: str, config: ImageConfig) -> Images:
     """Return the images of one heap, a pure function of its arguments."""
-    rngs = (np.random.default_rng([config.seed, heap.seed, n]) for n in range(config.views))
+    seed = (shown.heap if isinstance(shown, Course) else shown).seed
+    rngs = (np.random.default_rng([config.seed, seed, n]) for n in range(config.views))
     return Images.concatenated([
-        _image_of(heap, objects, config, number, rng) for number, rng in enumerate(rngs)
+        _image_of(shown, objects, config, number, rng) for number, rng in enumerate(rngs)
     ])  # fmt: skip
 
 
 def _image_of(
-    heap: Heap, objects: str, config: ImageConfig, number: int, rng: np.random.Generator
+    shown: Heap | Course, objects: str, config: ImageConfig, number: int, rng: np.random.Generator
 ) -> Images:
+    if isinstance(shown, Course):
+        moment = int(rng.integers(len(shown.poses)))
+        heap, tip = replace(shown.heap, poses=shown.poses[moment]), shown.tips[moment]
+    else:
+        heap, tip = shown, None
     library = _library(objects, config)
     drawn, poses, target = _drawn(heap, objects, library, config, rng)
     models = [library.models[index] for index in drawn]
@@ -333,8 +384,11 @@ def _image_of(
     name = config.sensors[rng.integers(len(config.sensors))]
     sensing = sensor_named(name).episode((heap.seed, number, config.seed), len(models))
     seen = sensing.camera(camera)
-    tip = np.append(rng.uniform(-0.25, 0.25, 2), rng.uniform(0.0, 0.15))
-    frame = renderer.frame(seen, poses, Pusher().pose(tip) if rng.random() < 0.7 else None, True)
+    if tip is None:
+        drawn_tip = np.append(rng.uniform(-0.25, 0.25, 2), rng.uniform(0.0, 0.15))
+        tip = drawn_tip if rng.random() < 0.7 else None
+    effector = None if tip is None else Pusher().pose(tip)
+    frame = renderer.frame(seen, poses, effector, True)
     ids = np.maximum(frame.ids + 1, 0).astype(np.uint8)
     assert frame.rgb is not None
     depth = frame.depth

@@ -1,4 +1,7 @@
-"""Layers of the segmentation network."""
+"""Layers of the segmentation network, and how networks of this room are asked."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -50,3 +53,15 @@ def colours_of(seen: Tensor) -> Tensor:
 def doubled(x: Tensor) -> Tensor:
     """Return features (B, C, 2 H, 2 W), each pixel repeated."""
     return functional.interpolate(x, scale_factor=2, mode="nearest")
+
+
+@contextmanager
+def asked_alike() -> Iterator[None]:
+    """Ask a network with one thread: another number of them gives other bits."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(threads)

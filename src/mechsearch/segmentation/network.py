@@ -1,7 +1,6 @@
 """The segmentation network: pixels of an RGB-D image held against reference views of the target."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from math import exp
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from mechsearch.segmentation.layers import (
     COLOUR_CHANNELS,
     Convolution,
     Residual,
+    asked_alike,
     colours_of,
     doubled,
 )
@@ -226,7 +226,7 @@ class NetworkSegmenter:
         """Take the views of what is to be found; see `Segmenter`."""
         arrays = (references.rgb, references.mask, references.width)
         views = reference_channels(*(torch.from_numpy(array) for array in arrays))
-        with _alike_everywhere():
+        with asked_alike():
             self._target = self._network.look(views[None])
 
     def segment(self, rgb: Array, depth: Array, camera: Camera) -> tuple[Array, float]:
@@ -263,21 +263,9 @@ class NetworkSegmenter:
     def _found(self, seen: Array) -> Array:
         assert self._target is not None
         image = torch.zeros(1, dtype=torch.long)
-        with _alike_everywhere():
+        with asked_alike():
             features = self._network.encode(torch.from_numpy(seen)[None])
             return np.asarray(self._network.decode(features, self._target, image)[0].numpy())
-
-
-@contextmanager
-def _alike_everywhere() -> Iterator[None]:
-    """Ask a network with one thread: another number of them gives other bits."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with torch.inference_mode():
-            yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def network_segmenter(path: Path | None = None) -> NetworkSegmenter:

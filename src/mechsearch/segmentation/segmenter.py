@@ -10,11 +10,24 @@ from PIL import Image
 from mechsearch.camera import Camera, preset
 from mechsearch.entry_point import called, conforming, is_entry_point, load_entry_point
 from mechsearch.objects.model import ObjectModel
+from mechsearch.segmentation.occlusion import (
+    Occlusion,
+    can_be_judged,
+    make_estimator,
+    patch_of,
+    silhouette_areas,
+)
 from mechsearch.segmentation.reference import GRID, References, render_references
 from mechsearch.types import Array, MechSearchError, real_array, shown
 
 TRUE, SHIPPED = "true", "shipped"
-"""Names of the simulator's own masks, and of the shipped network."""
+"""Names of what the simulator knows, and of the shipped networks."""
+
+NEVER = "never"
+"""Name of what ends no episode."""
+
+LEAST_CHANCE, LOOKS = 0.75, 3
+"""Chance of being uncovered with which an episode is ended, in so many looks one after another."""
 
 LEAST_CONFIDENCE = 0.5
 """Below it a mask counts as empty: as if nothing of the target were visible."""
@@ -164,6 +177,69 @@ class TargetFinder:
             self._target = target
         colours = np.asarray(rgb)
         return resized(visible_target(self._segmenter, colours, depth, self.camera)[0], size)
+
+
+def check_stop(name: str) -> str:
+    """Return a name of what says that a target is uncovered.
+
+    Raises:
+        MechSearchError: If it can be none.
+    """
+    if name not in (TRUE, NEVER, SHIPPED) and not _is_file(name):
+        raise MechSearchError(
+            f"unknown stop {name!r}; choose {TRUE}, {NEVER}, {SHIPPED}, or a network's file "
+            f"({_SUFFIX})"
+        )
+    return name
+
+
+class Judge:
+    """Says of objects of a simulation, as a robot would, whether they look uncovered.
+
+    Attributes:
+        camera: Of the images that it looks at.
+        looks: One after another in which an object has to look uncovered before an episode ends,
+            after one in which it did not: what it looks like from the first on was not uncovered.
+    """
+
+    looks = LOOKS
+
+    def __init__(self, name: str, camera: str) -> None:
+        """Read a network that estimates occlusion.
+
+        Args:
+            name: "shipped", or a network's file (.safetensors).
+            camera: View of the images, a name for `camera.preset`.
+
+        Raises:
+            MechSearchError: If there is no such network or view.
+        """
+        self.camera = preset(camera, GRID)
+        self._estimator = make_estimator(None if name == SHIPPED else Path(name))
+        self._target: ObjectModel | None = None
+        self._areas = np.zeros(3)
+
+    def estimate(self, target: ObjectModel, depth: Array, mask: Array) -> Occlusion:
+        """Return what is believed of an object on an image of `camera`.
+
+        Of a tiny mask, or an image half of which is holes, nothing is, so that it is hidden.
+
+        Args:
+            target: The object.
+            depth: Along the optical axis (H, W) [m]; 0 or not finite in holes.
+            mask: Where it is seen (H, W) bool.
+        """
+        if target is not self._target:
+            references = render_references(target)
+            self._areas = silhouette_areas(references.mask, references.width)
+            self._target = target
+        if not can_be_judged(depth, mask):
+            return Occlusion(1.0, 0.0)
+        return self._estimator.estimate(*patch_of(depth, self.camera, mask, self._areas))
+
+    def is_sure(self, target: ObjectModel, depth: Array, mask: Array) -> bool:
+        """Return whether an object looks uncovered; see `estimate`."""
+        return self.estimate(target, depth, mask).uncovered >= LEAST_CHANCE
 
 
 def resized(mask: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:
