@@ -72,3 +72,27 @@ for extra in ${PARTS:-base learn $(grep -o "^robot = " pyproject.toml | cut -d" 
 		done
 	done
 done
+
+# What a robot's computer installs: under 400 MB, and ready to decide in under 2 s of a processor.
+try "$uv" venv --quiet --clear --python "$1" "$home/venv"
+size=$(du -sb "$home/venv" | cut -f1)
+try "$uv" pip install --quiet --python "$home/venv/bin/python" --constraints "$constraints" "$dist"/robot/*.whl
+size=$((($(du -sb "$home/venv" | cut -f1) - size) / 1000000))
+((size < 400)) || { echo "failed: $size MB" && exit 1; }
+mkdir -p "$home/tried" && cd "$home/tried"
+try "$home/venv/bin/mechsearch" robot play --help
+cat >starts.py <<END
+import time
+import numpy as np
+from mechsearch.robot.controller import Controller
+from mechsearch.robot.policy import open_policy
+policy = open_policy("$dist/robot/single")
+side = policy.camera.height
+seen = np.zeros((3, side, side), np.float16)
+seen[:, 30:34, 30:34] = 0.01
+obs = {"depth": np.ones((1, side, side), np.float16), "position_image": seen}
+policy.choose(obs | {"ee_position": np.array([0.2, 0.0, 0.1], np.float32)})
+assert time.process_time() < 2, f"{time.process_time():.1f} s"
+END
+try "$home/venv/bin/python" starts.py
+echo "$("$1" --version) whl for a robot: works, $size MB"

@@ -105,7 +105,7 @@ EXTRAS = {
     "ray": ("Ray", "ray"), "video": ("FFmpeg", "imageio_ffmpeg"),
     "export": ("ONNX", "onnxscript"), "robot": ("ONNX-Runtime", "onnxruntime"),
     "dds": ("CycloneDDS", "cyclonedds"),
-    "bullet": ("PyBullet", "pybullet"),
+    "calibration": ("OpenCV", "cv2"), "bullet": ("PyBullet", "pybullet"),
     "arms": ("mink", "mink"),
 }  # fmt: skip
 """What each optional part of an installation brings: its name, and a module of it."""

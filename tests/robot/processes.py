@@ -42,28 +42,31 @@ def image(bus, topic, array, encoding, now):
     )  # fmt: skip
 
 
+def publish_frame(bus, topics, frame, now):
+    """Publish depth, mask and camera info of a frame."""
+    depth, camera = np.round(1000 * frame.depth).astype(np.uint16), frame.camera
+    image(bus, topics.depth, depth, "16UC1", now)
+    image(bus, topics.mask, frame.mask.astype(np.uint8), "mono8", now)
+    roi = message_type("sensor_msgs/msg/RegionOfInterest")(
+        x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
+    k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+    bus.publish(
+        topics.camera_info, "sensor_msgs/msg/CameraInfo", header=header(now, "camera"),
+        height=camera.height, width=camera.width, distortion_model="", d=[], k=k,
+        r=[0.0] * 9, p=[0.0] * 12, binning_x=0, binning_y=0, roi=roi,
+    )  # fmt: skip
+
+
 def robot(domain):
     bus, simulated = Bus(domain), SimulatedRobot(limits=SLACK)
     simulated.camera = own_camera(160, 120)
     node = RobotNode(simulated.guard, bus, TOPICS)
-    roi = message_type("sensor_msgs/msg/RegionOfInterest")(
-        x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-    )
-    camera, began = simulated.camera, time.time()
-    k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-    step = 0
+    began, step = time.time(), 0
     while time.time() < began + SECONDS:
         now = simulated.now = time.time()
         if step % 40 == 0:
-            frame = simulated.frame()
-            depth = np.round(1000 * frame.depth).astype(np.uint16)
-            image(bus, TOPICS.depth, depth, "16UC1", now)
-            image(bus, TOPICS.mask, frame.mask.astype(np.uint8), "mono8", now)
-            bus.publish(
-                TOPICS.camera_info, "sensor_msgs/msg/CameraInfo", header=header(now, "camera"),
-                height=camera.height, width=camera.width, distortion_model="", d=[], k=k,
-                r=[0.0] * 9, p=[0.0] * 12, binning_x=0, binning_y=0, roi=roi,
-            )  # fmt: skip
+            publish_frame(bus, TOPICS, simulated.frame(), now)
         point = node.step(replace(simulated.tool(), time=now), now)
         simulated.world.follow(apply(invert(BASE_FROM_WORKSPACE), point))
         if step % 20 == 0:

@@ -33,8 +33,8 @@ def own_camera(width=320, height=240, tilt=0.35):
 
 
 class SimulatedRobot:
-    def __init__(self, heap=0, limits=None, start=(0.2, -0.15, 0.08), walls=()):
-        heaps, objects = open_heaps(embedded_file("single"))
+    def __init__(self, heap=0, limits=None, start=(0.2, -0.15, 0.08), walls=(), heaps=None):
+        heaps, objects = heaps or open_heaps(embedded_file("single"))
         self.heap = heaps.heaps[heap]
         models = [objects.models[name] for name in self.heap.objects]
         self.world = World(models, Workspace(), Pusher(), walls)

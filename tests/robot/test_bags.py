@@ -1,10 +1,12 @@
 """Recorded bags through the controller, written and read back by rosbags itself."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from mechsearch.cli import main
 from mechsearch.robot.bags import Topics, read_bag
@@ -216,3 +218,60 @@ def test_a_bad_bag_leaves_nothing_behind(recorded, exported_pushes, tmp_path, ca
         play(bag, exported_pushes, tmp_path / "out")
     assert capsys.readouterr().err.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
+
+
+@pytest.fixture(scope="module")
+def board_bag(tmp_path_factory):
+    """A hand that carries a board: it rests at eight places, and moves between them."""
+    pytest.importorskip("cv2")
+    from tests.robot.board_images import INTRINSICS, Rig
+
+    def rows(distortion=0.0):
+        yield TOPICS.camera_info, 0.0, info(0.0, INTRINSICS, distortion)
+        for number, view in enumerate(Rig().views(8, np.random.default_rng(0))):
+            for step in range(7):
+                # The hand comes, rests for a while, and goes.
+                t = 4.0 * number + 0.1 * step
+                moving = step in (0, 6)
+                pose = view.base_from_flange.copy()
+                pose[:3, 3] += 0.02 * moving
+                yield TOPICS.tool, t, stamped_pose(t, pose)
+                grey = np.zeros_like(view.image) if moving else view.image
+                yield TOPICS.colour, t, image(t, np.repeat(grey[..., None], 3, 2), "bgr8")
+
+    return written(tmp_path_factory.mktemp("board") / "bag", rows())
+
+
+def stamped_pose(t, pose):
+    turned = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    place = TYPES["geometry_msgs/msg/Pose"](
+        vector("Point", pose[:3, 3]), vector("Quaternion", turned)
+    )
+    return TYPES["geometry_msgs/msg/PoseStamped"](header(t, "base_link"), place)
+
+
+def test_a_camera_is_found_from_a_bag(board_bag, tmp_path, capsys):
+    from mechsearch.robot.calibration import read_calibration
+    from tests.robot.board_images import BASE_FROM_CAMERA, apart
+
+    main(["robot", "calibrate", str(board_bag), "--out", str(tmp_path / "camera.json")])
+    assert "8 of 8 images" in capsys.readouterr().out
+    found = read_calibration(tmp_path / "camera.json")
+    shift, turn = apart(found.base_from_camera, BASE_FROM_CAMERA)
+    assert shift < 3
+    assert turn < 0.3
+
+
+def test_a_calibration_says_where_the_camera_of_a_bag_is(recorded, tmp_path):
+    from mechsearch.robot.calibration import CameraCalibration, write_calibration
+
+    # The bag knows no transform at all.
+    bag = written(tmp_path / "bag", messages(recorded), leave_out=("/tf_static",))
+    elsewhere = replace(recorded[0][0].camera, world_from_camera=tuple(about_x(3.0).ravel()))
+    known, file = CameraCalibration(elsewhere, "base", 15, 0.1, 0.001, 0.1), tmp_path / "c.json"
+    write_calibration(file, known)
+    frame, _ = next(read_bag(bag, TOPICS, file))
+    np.testing.assert_array_equal(frame.camera.pose, elsewhere.pose)
+    write_calibration(file, replace(known, camera=replace(elsewhere, fx=elsewhere.fx * 1.1)))
+    with pytest.raises(MechSearchError, match=r"images of 320 x 240 px with fx 336\.0, .* is of"):
+        next(read_bag(bag, TOPICS, file))

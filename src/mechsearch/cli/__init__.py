@@ -35,6 +35,11 @@ COMMANDS = {
     "export policy": ("export_policy:ExportPolicy", "a policy for a robot's computer"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
     "robot play": ("robot:PlayBag", "what a policy would do on a recorded bag; nothing moves"),
+    "robot calibrate": ("calibrating:Calibrate", "where a camera is, from images of a board"),
+    "robot check-calibration": (
+        "calibrating:CheckCalibration",
+        "does a calibration hold? points that the robot touched",
+    ),
     "grasp score": ("grasping:ScoreGrasps", "rate grasps on targets: heaps, or your image"),
     "grasp lift": ("grasping:LiftGrasps", "try the best grasps: can the target be lifted?"),
     "grasp label": ("grasp_learning:LabelGrasps", "try grasps on heaps: a set to learn from"),
@@ -109,21 +114,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _dispatch(words: list[str]) -> None:
+    # A robot's installation has few of them.
+    own = {file.stem for file in Path(__file__).parent.glob("*.py")}
+    here = {name: c for name, c in COMMANDS.items() if c[0].partition(":")[0] in own}
     for length in (2, 1):
         name = " ".join(words[:length])
-        if name in COMMANDS:
+        if name in here:
             _call(name, words[length:])
             return
-    group = {name: c for name, c in COMMANDS.items() if words and name.startswith(f"{words[0]} ")}
+    group = {name: c for name, c in here.items() if words and name.startswith(f"{words[0]} ")}
     rest = words[1:] if group else words
     if rest in (["--version"], ["-V"]):
         print(f"mechsearch {version('mechsearch')}")
     elif rest in ([], ["-h"], ["--help"], ["help"]):
-        print(usage(group or COMMANDS))
+        print(usage(group or here))
     else:
         raise MechSearchError(
             f"unknown command {' '.join(words[: 2 if group else 1])!r}; "
-            f"choose one of {', '.join(group or COMMANDS)}"
+            f"choose one of {', '.join(group or here)}"
         )
 
 

@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import tyro
 
-from mechsearch.evaluation.rollout import Evaluation, load_some
 from mechsearch.files import check_place, write_whole
-from mechsearch.findings.tables import Table, to_text
-from mechsearch.heaps.dataset import recorded_objects
-from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import PROCESSORS, Mapper, map_in_order
 from mechsearch.processes import bars as bars
 from mechsearch.types import MechSearchError, check_extra
+
+# What records and heaps are made of is no part of a robot's installation.
+if TYPE_CHECKING:
+    from mechsearch.evaluation.rollout import Evaluation
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 """Formats of pictures, by suffix."""
@@ -174,20 +174,24 @@ class OfEpisodes(OfObjects, Parallel):
     ]
     limit: int = 0
 
-    def recorded(self) -> Iterator[tuple[Path, Evaluation]]:
+    def recorded(self) -> "Iterator[tuple[Path, Evaluation]]":
         """Yield each file and its episodes, whose objects must be at hand; see `models_of`."""
+        from mechsearch.evaluation.rollout import load_some
+
         for path in self.episodes:
             evaluation = load_some(path, self.limit)
             models_of(evaluation, self.objects)
             yield path, evaluation
 
 
-def models_of(evaluation: Evaluation, named: str) -> Mapping[str, ObjectModel]:
+def models_of(evaluation: "Evaluation", named: str) -> Mapping[str, Any]:
     """Return the objects that an evaluation was recorded with, by name.
 
     Raises:
         MechSearchError: If the set that was named, or that the evaluation names, has others.
     """
+    from mechsearch.heaps.dataset import recorded_objects
+
     name, hashes = str(evaluation.header["object_set"]), evaluation.header["object_hashes"]
     return recorded_objects("these episodes were recorded", name, hashes, named).models
 
@@ -199,6 +203,8 @@ def say(text: str) -> None:
 
 def say_table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Write a table in plain columns; see `Table`."""
+    from mechsearch.findings.tables import Table, to_text
+
     say(to_text(Table(caption, tuple(columns), tuple(map(tuple, rows)))))
 
 

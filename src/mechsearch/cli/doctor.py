@@ -28,6 +28,7 @@ _NEEDED_BY = {
     "video": "an MP4 film (a GIF does not)",
     "export": "`mechsearch export policy`",
     "dds": "a robot over ROS 2's messages",
+    "calibration": "`mechsearch robot calibrate`",
     "robot": "an exported policy, or a recorded bag,",
     "arms": "an episode on a robot arm",
 }

@@ -31,6 +31,8 @@ class PlayBag(Command):
         high: Highest corner [m].
         speed: Of the tip [m/s].
         seed: Of the policy's candidates.
+        calibration: What `mechsearch robot calibrate` wrote; without it, the bag's transforms say
+            where the camera is.
         topics: Where things are in the bag.
     """
 
@@ -42,6 +44,7 @@ class PlayBag(Command):
     high: tuple[float, float, float]
     speed: float = Limits.speed
     seed: int = 0
+    calibration: Path | None = None
     topics: Annotated[bags.Topics, FLAT] = field(default_factory=bags.Topics)
 
     def run(self) -> None:
@@ -66,7 +69,7 @@ class PlayBag(Command):
         lines: list[str] = []
         with bars() as progress:
             told = partial(progress, f"images of {self.bag.name}")
-            for frame, tool in bags.read_bag(self.bag, self.topics, told):
+            for frame, tool in bags.read_bag(self.bag, self.topics, self.calibration, told):
                 motions.append(motion := controller.step(frame, tool, frame.time))
                 if len(motions) > 1 and (motion.goal == motions[-2].goal).all():
                     continue

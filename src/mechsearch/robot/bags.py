@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera
 from mechsearch.geometry import invert, transform_from_pose
+from mechsearch.robot.calibration import BoardView, CameraCalibration, read_calibration
 from mechsearch.robot.controller import CameraFrame
 from mechsearch.robot.limits import MOVE, Motion, Tool
 from mechsearch.types import Array, Floats, MechSearchError, check_extra, shown
@@ -61,36 +62,104 @@ _TYPES = {
     "tool": "geometry_msgs/msg/PoseStamped", "wrench": "geometry_msgs/msg/WrenchStamped",
 }  # fmt: skip
 _OPTIONAL = ("colour", "wrench")
+_OF_A_BOARD = ("colour", "camera_info", "tool")
 _TRANSFORMS = ("/tf", "/tf_static")
 
 
 def read_bag(
-    path: Path, topics: Topics, told: Callable[[int, int], object] = lambda *_: None
+    path: Path,
+    topics: Topics,
+    calibration: Path | None = None,
+    told: Callable[[int, int], object] = lambda *_: None,
 ) -> Iterator[tuple[CameraFrame, Tool]]:
     """Yield what a robot saw, image by image, once it is certain that the bag is whole.
 
     Args:
         path: The bag.
         topics: Where things are in it.
+        calibration: File that says where the camera is, of `write_calibration`; None takes what
+            the bag's transforms say.
         told: Told when an image is dealt with how many are, and of how many.
 
     Raises:
         MechSearchError: If a topic or transform is missing, an encoding is unknown, images differ
-            in size, or clocks run apart.
+            in size or are not those of the calibration, or clocks run apart.
     """
     check_extra("reading a bag", "robot")
     with _opened(path) as reader:
-        found = {topic: connection.msgtype for topic, connection in _by_topic(reader).items()}
-        for name, kind in _TYPES.items():
-            topic = getattr(topics, name)
-            if found.get(topic, kind if name in _OPTIONAL else None) != kind:
-                listed = ", ".join(f"{t} ({k})" for t, k in sorted(found.items())) or "nothing"
-                raise MechSearchError(f"{path} has no {name} at {topic} of {kind}; it has {listed}")
-        index, transforms = _indexed(reader, topics, path)
+        _check_topics(reader, path, topics, tuple(_TYPES), _OPTIONAL)
+        index, transforms = _indexed(reader, topics, path, tuple(_TYPES))
+        known = None if calibration is None else read_calibration(calibration)
         images = index["depth"]
         for done, (stamp, recorded) in enumerate(images, start=1):
-            yield _seen(reader, stamp, recorded, topics, index, transforms)
+            yield _seen(reader, stamp, recorded, topics, index, transforms, known)
             told(done, len(images))
+
+
+_RESTING = (0.0005, np.deg2rad(0.1))
+"""How far a hand moves that rests [m], [rad]."""
+
+_ELSEWHERE = (0.01, np.deg2rad(3.0))
+"""How far it moves at least from one image of a board to the next."""
+
+
+def read_board_views(path: Path, topics: Topics) -> tuple[Camera, list[BoardView]]:
+    """Return a camera's intrinsics, and one image of each place where the robot's hand rested.
+
+    Raises:
+        MechSearchError: If colour images, camera info or tool poses are missing, clocks run apart,
+            images are not rectified, or the hand never rested.
+    """
+    check_extra("reading a bag", "robot")
+    with _opened(path) as reader:
+        _check_topics(reader, path, topics, _OF_A_BOARD, ())
+        index = _indexed(reader, topics, path, _OF_A_BOARD)[0]
+        by_topic, tools = _by_topic(reader), list[tuple[float, Floats]]()
+        for _, _, raw in reader.messages([by_topic[topics.tool]]):
+            message = reader.deserialize(raw, _TYPES["tool"])
+            _check_base(message, topics)
+            p, q = message.pose.position, message.pose.orientation
+            pose = transform_from_pose([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
+            tools.append((seconds_of(message.header), pose))
+        views: list[BoardView] = []
+        for stamp, recorded in index["colour"]:
+            near = [(t, pose) for t, pose in tools if abs(t - stamp) <= _APART]
+            between = near and near[0][0] <= stamp <= near[-1][0]
+            rests = between and all(_within(near[0][1], pose, _RESTING) for _, pose in near)
+            if rests and not (
+                views and _within(views[-1].base_from_flange, near[0][1], _ELSEWHERE)
+            ):
+                connection = by_topic[topics.colour]
+                found = next(reader.messages([connection], recorded, recorded + 1))
+                message = reader.deserialize(found[2], connection.msgtype)
+                image = decoded_image(message, topics.colour, (*_COLOUR, *MASK_ENCODINGS))
+                views.append(BoardView(f"the image at {stamp:.3f} s", image, near[0][1]))
+        _, _, raw = next(reader.messages([by_topic[topics.camera_info]]))
+        info = reader.deserialize(raw, _TYPES["camera_info"])
+    if not views:
+        raise MechSearchError(
+            f"{path} has no image at {topics.colour} within {_APART} s of which {topics.tool} "
+            "rests; expected a hand that stands still for a while at each place"
+        )
+    return rectified_camera(info, topics, np.eye(4)), views
+
+
+def _within(one: Floats, other: Floats, limits: tuple[float, float]) -> bool:
+    between = invert(one) @ other
+    cosine = (np.trace(between[:3, :3]) - 1) / 2
+    near = np.linalg.norm(between[:3, 3]) <= limits[0]
+    return bool(near and cosine >= np.cos(limits[1]))
+
+
+def _check_topics(
+    reader: Any, path: Path, topics: Topics, names: Sequence[str], optional: Sequence[str]
+) -> None:
+    found = {topic: connection.msgtype for topic, connection in _by_topic(reader).items()}
+    for name in names:
+        topic, kind = getattr(topics, name), _TYPES[name]
+        if found.get(topic, kind if name in optional else None) != kind:
+            listed = ", ".join(f"{t} ({k})" for t, k in sorted(found.items())) or "nothing"
+            raise MechSearchError(f"{path} has no {name} at {topic} of {kind}; it has {listed}")
 
 
 def write_commands(path: Path, motions: Sequence[Motion], base: str, mcap: bool) -> None:
@@ -203,14 +272,14 @@ def seconds_of(header: Any) -> float:
 
 
 def _indexed(
-    reader: Any, topics: Topics, path: Path
+    reader: Any, topics: Topics, path: Path, kinds: Sequence[str]
 ) -> tuple[dict[str, list[tuple[float, int]]], dict[str, list[tuple[float, str, Floats]]]]:
     """Return when messages of each kind were stamped [s] and recorded [ns], and all transforms.
 
     Of each frame these are its poses in another: since when, in which, and the pose (4, 4).
     """
-    names = {getattr(topics, name): name for name in _TYPES}
-    index: dict[str, list[tuple[float, int]]] = {name: [] for name in _TYPES}
+    names = {getattr(topics, name): name for name in kinds}
+    index: dict[str, list[tuple[float, int]]] = {name: [] for name in kinds}
     transforms: dict[str, list[tuple[float, str, Floats]]] = {}
     some = [c for c in reader.connections if c.topic in (*names, *_TRANSFORMS)]
     for connection, recorded, raw in reader.messages(some):
@@ -224,7 +293,8 @@ def _indexed(
             pose = transform_from_pose([t.x, t.y, t.z, r.w, r.x, r.y, r.z])
             child = one.child_frame_id.strip("/")
             transforms.setdefault(child, []).append((since, one.header.frame_id.strip("/"), pose))
-    if missing := [n for n in _TYPES if n not in _OPTIONAL and not index[n]]:
+    optional = _OPTIONAL if "depth" in kinds else ()
+    if missing := [n for n in kinds if n not in optional and not index[n]]:
         raise MechSearchError(
             f"{path} has no message at {getattr(topics, missing[0])}, its {missing[0]}"
         )
@@ -250,6 +320,7 @@ def _seen(
     topics: Topics,
     index: dict[str, list[tuple[float, int]]],
     transforms: dict[str, list[tuple[float, str, Floats]]],
+    calibration: CameraCalibration | None,
 ) -> tuple[CameraFrame, Tool]:
     def nearest(name: str) -> Any:
         rows = index[name]
@@ -273,9 +344,13 @@ def _seen(
                 f"{stamp:.3f} s"
             )
     depth = decoded_image(message, topics.depth, DEPTH_ENCODINGS)
-    camera = rectified_camera(
-        info, topics, _pose(message.header.frame_id, topics.base, stamp, transforms)
-    )
+    if calibration is None:
+        place = _pose(message.header.frame_id, topics.base, stamp, transforms)
+    else:
+        place = calibration.base_from_camera
+    camera = rectified_camera(info, topics, place)
+    if calibration is not None:
+        calibration.check_camera(camera)
     size = (camera.height, camera.width)
     images = {}
     for name, encodings in (("mask", MASK_ENCODINGS), ("colour", _COLOUR)):
@@ -292,16 +367,18 @@ def _seen(
             f"{topics.depth} has images of {depth.shape[1]} x {depth.shape[0]} px; "
             f"{topics.camera_info} says {size[1]} x {size[0]} px"
         )
-    wrench, place = nearest("wrench"), pose.pose.position
+    wrench, at = nearest("wrench"), pose.pose.position
     pressed = None if wrench is None else wrench.wrench.force
     force = np.zeros(3) if pressed is None else np.array([pressed.x, pressed.y, pressed.z])
-    if pose.header.frame_id.strip("/") != topics.base:
-        raise MechSearchError(
-            f"{topics.tool} is in the frame {pose.header.frame_id!r}; expected {topics.base!r}"
-        )
+    _check_base(pose, topics)
     mask = None if images["mask"] is None else images["mask"] > 0
-    tool = Tool(np.array([place.x, place.y, place.z]), seconds_of(pose.header), force)
+    tool = Tool(np.array([at.x, at.y, at.z]), seconds_of(pose.header), force)
     return CameraFrame(depth, mask, camera, stamp, images["colour"]), tool
+
+
+def _check_base(pose: Any, topics: Topics) -> None:
+    if (frame := pose.header.frame_id).strip("/") != topics.base:
+        raise MechSearchError(f"{topics.tool} is in the frame {frame!r}; expected {topics.base!r}")
 
 
 def decoded_image(message: Any, topic: str, encodings: Sequence[str]) -> Array:
