@@ -15,7 +15,8 @@ from mechsearch.types import MechSearchError
 
 def test_exported_pushes_are_chosen_and_judged_as_in_pytorch(pushes, exported_pushes, observations):
     carried = open_policy(exported_pushes)
-    for i, obs in enumerate(observations):
+    hidden = {**observations[0], "position_image": np.zeros((3, 64, 64), np.float16)}
+    for i, obs in enumerate([*observations, hidden]):
         pushes.reset(np.random.default_rng(i))
         carried.reset(np.random.default_rng(i))
         sight, candidates = pushes.see(obs), draw_pushes(24, np.random.default_rng(i))

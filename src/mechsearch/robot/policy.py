@@ -86,6 +86,7 @@ class Description:
         high: Highest corner (3,) [m].
         candidates: Pushes to judge each time; 0 where it judges none.
         card: What is known of its training.
+        searches: Whether it looks for a hidden target all over the heap; see `PushChooser`.
     """
 
     format: int
@@ -102,6 +103,7 @@ class Description:
     high: Sequence[float]
     candidates: int
     card: Mapping[str, Any]
+    searches: bool = False
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,8 @@ class ExportedPushes(PushChooser):
     def __init__(self, description: Description, network: _Network) -> None:
         """Take an exported policy's parts; see `open_policy`."""
         self.description, self._network = description, network
-        super().__init__(preset(description.camera, description.image_size), description.candidates)
+        view = preset(description.camera, description.image_size)
+        super().__init__(view, description.candidates, description.searches)
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; candidates come from `rng`."""

@@ -48,6 +48,7 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
         inputs=inputs, outputs=outputs, camera=task.camera, image_size=task.image_size,
         low=[-bounds.half, -bounds.half, bounds.low], high=[bounds.half, bounds.half, bounds.high],
         candidates=getattr(inner, "candidates", 0), card=card,
+        searches=getattr(inner, "searches", False),
     )  # fmt: skip
     write_json(folder / exported.DESCRIPTION_FILE, asdict(description))
     return description
