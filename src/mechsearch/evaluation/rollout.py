@@ -462,7 +462,9 @@ class _Rollouts:
         policy = self.plan.policy
         shipped = isinstance(policy, str) and policy in SHIPPED_POLICIES
         condition = card(str(policy))["trained_on"]["condition"] if shipped else "single"
-        return open_heaps(self.plan.heaps or embedded_file(condition), self.plan.objects)
+        # Of heaps of both kinds, "single+dual", the first kind stands for all.
+        embedded = embedded_file(condition.partition("+")[0])
+        return open_heaps(self.plan.heaps or embedded, self.plan.objects)
 
     @property
     def heap_set(self) -> HeapSet:
