@@ -159,7 +159,6 @@ def test_an_interruption_says_that_files_are_whole(
     def interrupted(words: list[str]) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mechsearch.objects.catalog.load_object_set", interrupted)
     monkeypatch.setattr("mechsearch.cli.objects.load_object_set", interrupted)
     with pytest.raises(SystemExit) as stopped:
         main(["objects", "list"])

@@ -89,6 +89,13 @@ BENCHMARK_SPLITS = {
         0,
         "single heaps of 10 and 15 objects, and two heaps of 10, target at least 97 % hidden",
     ),
+    "large": Split(
+        "ycb_large.parquet",
+        "86f54bce701297af5fbfba6d8051328cbf11ee10a5d81442bf5d2d26f2a1b54a",
+        "all",
+        0,
+        "single heaps of 20, 30 and 40 objects",
+    ),
 }
 
 Entry = TypeVar("Entry")
