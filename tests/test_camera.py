@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mechsearch.camera import VIEWS, Camera, preset
+from mechsearch.camera import VIEWS, Camera, mounted, preset
 from mechsearch.types import MechSearchError
 
 
@@ -88,3 +88,45 @@ def test_unknown_views_and_wrong_depths_are_named():
     ):
         with pytest.raises(MechSearchError, match="expected a rigid transform"):
             Camera(4, 4, 1.0, 1.0, 0, 0, tuple(strange.ravel()))
+
+
+def test_a_mounted_camera_is_where_its_text_says_and_75_degrees_across():
+    camera = mounted(" 30 2  640 x 480 ", "overhead")
+    assert (camera.width, camera.height) == (640, 480)
+    np.testing.assert_allclose(camera.pose[:3, 3], [0, -1, np.sqrt(3)])
+    np.testing.assert_allclose(camera.project([0, 0, 0]), [319.5, 239.5, 2])
+    # +x is on the right, and what is further away higher up.
+    across = camera.project([2 * np.tan(np.deg2rad(37.5)), 0, 0])
+    np.testing.assert_allclose(across, [639.5, 239.5, 2])
+    assert camera.project([0, 0.3, 0])[1] < 239.5
+    assert (
+        mounted("0 1 64x64", "overhead").pose[:3, :3].tolist()
+        == VIEWS["overhead"].pose[:3, :3].tolist()
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "x",
+            "35 0.9",
+            "35 0.9 640",
+            "90 0.9 640x480",
+            "-5 0.9 640x480",
+            "35 0 640x480",
+            "35 6 640x480",
+        ),
+        *("35 0.9 4x480", "35 0.9 640x48000", "35 0.9 640x480 7", "35 6 640x480"),
+    ],
+)
+def test_what_says_no_mounted_camera_is_refused(text):
+    with pytest.raises(
+        MechSearchError, match=r"mounted is '.*'; expected degrees off the vertical"
+    ):
+        mounted(text, "overhead")
+
+
+def test_a_mounted_camera_that_sees_too_little_of_the_view_is_refused():
+    with pytest.raises(MechSearchError, match=r"where \d+% of the view 'overhead' is in the image"):
+        mounted("35 0.3 640x480", "overhead")

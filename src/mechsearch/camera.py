@@ -4,9 +4,10 @@ The camera frame is x right, y down, z forward. Pixel (row 0, column 0) has its 
 and depth is measured along z, not along the ray.
 """
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, isfinite
+from math import cos, inf, isfinite, radians, sin, tan
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,3 +166,54 @@ def preset(name: str, size: int = 64) -> Camera:
     if size < 8:
         raise MechSearchError(f"image size {size} px is too small; expected at least 8")
     return VIEWS[name].resized(size)
+
+
+_ACROSS, _MOST_TILT = 75.0, 80.0
+"""Angle across a mounted camera's image, and its greatest tilt [degrees]."""
+
+_FARTHEST, _LARGEST, _LEAST_SEEN = 5.0, 4096, 0.75
+"""Its greatest distance [m] and side [px], and the share of a view that it has to hold."""
+
+_NUMBER = r"(\d*\.?\d+)"
+
+
+@lru_cache(maxsize=64)
+def mounted(text: str, view: str) -> Camera:
+    """Return a camera that is mounted beside a view, and sees most of the table in it.
+
+    It stands on the side of -y, as the view "tilted" does, looks at the table's middle, and sees 75
+    degrees across.
+
+    Args:
+        text: Degrees off the vertical, metres from the table's middle, and size of the image [px],
+            such as "35 0.9 640x480".
+        view: A name for `preset`.
+
+    Raises:
+        MechSearchError: If it is anything else, or too little of the view is in its image.
+    """
+    found = re.fullmatch(rf"\s*{_NUMBER}\s+{_NUMBER}\s+(\d+)\s?x\s?(\d+)\s*", text, re.ASCII)
+    tilt, away = map(float, found.groups()[:2]) if found else (inf, 0.0)
+    width, height = map(int, found.groups()[2:]) if found else (0, 0)
+    sides = min(width, height), max(width, height)
+    if tilt > _MOST_TILT or not 0 < away <= _FARTHEST or sides[0] < 8 or sides[1] > _LARGEST:
+        raise MechSearchError(
+            f"mounted is {text!r}; expected degrees off the vertical up to {_MOST_TILT:g}, metres "
+            f"from the table's middle up to {_FARTHEST:g}, and the image's sides from 8 to "
+            f"{_LARGEST} px, such as '35 0.9 640x480'"
+        )
+    focal, angle = width / 2 / tan(radians(_ACROSS / 2)), radians(tilt)
+    pose = look_at((0, -away * sin(angle), away * cos(angle)), (0, 0, 0), (0, 1, 0))
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, pose)
+    known = preset(view)
+    down = known.directions() @ known.pose[2, :3]
+    table = known.back_project(-known.pose[2, 3] / down)
+    column, row, ahead = np.moveaxis(camera.project(table), -1, 0)
+    inside = (np.abs(column - camera.cx) < width / 2) & (np.abs(row - camera.cy) < height / 2)
+    seen = float((inside & (ahead > 0)).mean())
+    if seen < _LEAST_SEEN:
+        raise MechSearchError(
+            f"mounted is {text!r}, where {seen:.0%} of the view {view!r} is in the image; expected "
+            f"at least {_LEAST_SEEN:.0%}: choose a place further away"
+        )
+    return camera

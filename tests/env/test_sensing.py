@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from mechsearch.camera import preset
+from mechsearch.camera import mounted, preset
 from mechsearch.env import (
     Decision,
     HeapEnv,
@@ -22,6 +22,7 @@ from mechsearch.observe.observation import MOST_HOLES
 from mechsearch.observe.sensor import SENSORS, Sensor
 from mechsearch.types import GRASP_KEYS, PRIVILEGED_KEYS, MechSearchError
 
+LATER = ("mounted", "sensor", "segmenter")
 FIXED = {"heap": 0, "fixed_start": True}
 WRONG = [
     name for name, sensor in SENSORS.items() if isinstance(sensor, Sensor) and name != "perfect"
@@ -160,9 +161,87 @@ def test_an_evaluation_keeps_its_sensor_and_is_verified(tmp_path):
 
 def test_what_earlier_versions_wrote_was_seen_perfectly():
     task = json.loads(json.dumps(asdict(TaskConfig())))
-    earlier = {name: value for name, value in task.items() if name not in ("sensor", "segmenter")}
+    earlier = {name: value for name, value in task.items() if name not in LATER}
     assert task_from_json(TaskConfig, earlier) == TaskConfig()
     assert other_inputs({"env": earlier}, {"env": task}) == ()
     assert other_inputs({"env": earlier}, {"env": {**task, "sensor": "harsh"}}) == ("env",)
     with pytest.raises(MechSearchError, match="unknown sensor 'x'; choose one of perfect, stereo"):
         TaskConfig(sensor="x")
+
+
+ASIDE = "35 0.9 320x240"
+
+
+def test_what_is_mounted_aside_sees_the_heap_in_the_view_of_the_policy(covered, boxes):
+    """What both views see is the same to a few millimetres, and all that is true is the same."""
+    above, true = episode(make(covered, boxes, "perfect"), options=FIXED)
+    aside, also = episode(make(covered, boxes, "perfect", mounted=ASIDE), options=FIXED)
+    assert also == true
+    for right, obs in zip(above, aside, strict=True):
+        off = np.abs(obs["depth"].astype(float) - right["depth"])
+        assert (obs["depth"] > 0).all()
+        assert off.max() > 0
+        assert (off < 0.003).mean() > 0.9
+        for key in (*PRIVILEGED_KEYS, "ee_position"):
+            np.testing.assert_array_equal(obs[key], right[key])
+        both = (obs["position_image"] != 0) & (right["position_image"] != 0)
+        assert both.any()
+        # The cube stands half under a slab, whose other side is seen from here.
+        apart = np.abs(obs["position_image"].astype(float) - right["position_image"])[both]
+        assert np.median(apart) < 0.01
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_a_mounted_sensor_sees_an_episode_again_also_from_a_snapshot(covered, boxes, sensor):
+    env, other = (make(covered, boxes, sensor, mounted=ASIDE) for _ in range(2))
+    seen, _ = episode(env, seed=5)
+    env.reset(seed=5)
+    env.step(ACTIONS[0])
+    later = [other.restore(env.snapshot()), *(other.step(action)[0] for action in ACTIONS[1:])]
+    assert as_bytes(later) == as_bytes(seen[1:])
+
+
+@pytest.mark.parametrize("sensor", WRONG)
+def test_images_from_a_mounted_sensor_keep_fewer_holes_than_are_refused(sensor):
+    env = HeapEnv(*_heaps(), HeapEnvConfig(sensor=sensor, mounted="50 0.6 640x480"))
+    for heap in range(2):
+        env.reset(options={"heap": heap, "fixed_start": True})
+        scene = env._scene
+        depth, *_ = scene.sense(preset("overhead"), 0, scene.poses, None, lambda f: f.modal(0))
+        assert (depth == 0).mean() < MOST_HOLES
+
+
+def test_a_mounted_cameras_error_moves_what_is_reprojected_by_so_much(covered, boxes):
+    """The camera is believed to be where it is mounted; images from where it is are off by that."""
+    env = make(covered, boxes, "harsh", mounted="35 0.9 640x480")
+    env.reset(options=FIXED)
+    scene, believed = env._scene, mounted("35 0.9 640x480", "overhead")
+    real = scene._sensing.camera(believed)
+    frame = scene.renderer.frame(real, scene.poses)
+    expected = believed.back_project(frame.depth)[frame.modal(1)].mean(axis=0)
+    true = real.back_project(frame.depth)[frame.modal(1)].mean(axis=0)
+    view = preset("overhead", 256)
+    depth, mask, _ = scene.sense(view, 0, scene.poses, None, lambda f: f.modal(1))
+    seen = view.back_project(depth)[mask & (depth > 0)].mean(axis=0)
+    assert np.linalg.norm(expected - true) > 0.004
+    assert np.linalg.norm(seen - expected) < np.linalg.norm(seen - true)
+
+
+def test_colours_are_reprojected_too(covered, boxes):
+    env = make(covered, boxes, "perfect", mounted=ASIDE, keys=("rgb", "depth"))
+    right = make(covered, boxes, "perfect", keys=("rgb", "depth"))
+    seen, expected = (each.reset(options=FIXED)[0]["rgb"] for each in (env, right))
+    assert (np.abs(seen.astype(int) - expected).max(axis=0) < 8).mean() > 0.9
+
+
+def test_a_mounted_evaluation_is_kept_and_verified(tmp_path):
+    task = TaskConfig(mounted=ASIDE, max_actions=2)
+    evaluation = evaluate("teacher-spiral", limit=1, task=task)
+    assert evaluation.header["env"]["mounted"] == ASIDE
+    assert f"mounted  -> {ASIDE}" in evaluation.header["task_differs"]
+    assert all(check.passed for check in replay_all(evaluation, embedded_file("single")))
+
+
+def test_retrieval_is_not_seen_from_aside():
+    with pytest.raises(MechSearchError, match=r"mounted is '35 0\.9 320x240'; expected nothing"):
+        RetrieveConfig(mounted=ASIDE)

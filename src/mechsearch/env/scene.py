@@ -17,6 +17,7 @@ from mechsearch.geometry import cap_length
 from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others
+from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.sim import HeapWorld
 from mechsearch.types import (
@@ -247,21 +248,26 @@ class HeapScene(Generic[W]):
     ) -> tuple[Array, Array, Array | None]:
         """Return depth, 0 in holes, masks and colours as the task's sensor gives them.
 
+        What is seen from a mounted camera is reprojected, and masks are of the target alone then.
+
         Args:
-            camera: Where the sensor is believed to be.
+            camera: Of the images; where the sensor is believed to be, unless it is mounted.
             step: Number of the episode's actions so far.
             poses: Of all objects (N, 7).
             effector: Pose of the end effector (7,); None leaves it out of view.
             labels: Returns the true masks in a frame; see `Sensor.segment`.
             colour: Whether colours are asked for.
         """
-        sensing = self._sensing
-        seen = sensing.camera(camera)
+        sensing, mount = self._sensing, self._config.mount
+        seen = sensing.camera(mount or camera)
         frame = self.renderer.frame(seen, poses, effector, colour or sensing.reads_colour)
-        if sensing.is_perfect:
-            return frame.depth, labels(frame), frame.rgb
-        taken = sensing.take(step, seen, frame.depth, labels(frame), frame.ids, frame.rgb)
-        return *taken, frame.rgb
+        depth, masks = frame.depth, labels(frame)
+        if not sensing.is_perfect:
+            depth, masks = sensing.take(step, seen, depth, masks, frame.ids, frame.rgb)
+        if mount is None:
+            return depth, masks, frame.rgb
+        found = reproject(depth, mount, camera, masks, frame.rgb)
+        return found.depth, np.asarray(found.mask), found.colour
 
     def observe(self, step: int) -> dict[str, Array]:
         """Return a fresh observation, after so many of the episode's actions."""

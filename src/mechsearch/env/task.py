@@ -7,7 +7,7 @@ from numbers import Real
 from operator import attrgetter
 from typing import Any, Self, TypeVar
 
-from mechsearch.camera import preset
+from mechsearch.camera import Camera, mounted, preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
 from mechsearch.observe.sensor import Sensor, SensorMixture, sensor_named
@@ -58,6 +58,9 @@ class TaskConfig:
     Attributes:
         camera: View of all images and of occlusion: "overhead" or "tilted".
         image_size: Side of the square images [px].
+        mounted: Where the camera really is that these images are reprojected from: degrees off the
+            vertical, metres from the table's middle, and its image [px], such as "35 0.9 640x480";
+            by default in that view itself.
         sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh".
         segmenter: What finds the target's visible part: "true", the simulator itself; "shipped", a
             network; a network's file; or package.module:factory.
@@ -78,6 +81,7 @@ class TaskConfig:
 
     camera: str = "overhead"
     image_size: int = 64
+    mounted: str = ""
     sensor: str = "perfect"
     segmenter: str = TRUE
     stop: str = TRUE
@@ -94,6 +98,7 @@ class TaskConfig:
     def __post_init__(self) -> None:
         check_kinds(self)
         preset(self.camera, self.image_size)
+        _ = self.mount
         sensor_named(self.sensor)
         check_segmenter(self.segmenter)
         check_stop(self.stop)
@@ -129,6 +134,11 @@ class TaskConfig:
         for name, holds, expected in rules:
             if not holds or (at(name) in (inf, -inf) and name not in _MAY_BE_INFINITE):
                 raise MechSearchError(f"{name} is {at(name)}; expected {expected}")
+
+    @property
+    def mount(self) -> Camera | None:
+        """The camera that `mounted` says; None where images are taken in the view itself."""
+        return mounted(self.mounted, self.camera) if self.mounted else None
 
     @property
     def sees(self) -> Sensor | SensorMixture:
@@ -242,6 +252,11 @@ class RetrievalTask(TaskConfig):
             raise MechSearchError(
                 f"segmenter is {self.segmenter!r}; grasps are planned on masks of all objects, "
                 f"which only {TRUE!r} has"
+            )
+        if self.mounted:
+            raise MechSearchError(
+                f"mounted is {self.mounted!r}; expected nothing: grasps are planned on images from "
+                "above"
             )
         if self.stop != TRUE:
             raise MechSearchError(

@@ -387,6 +387,7 @@ _NO_INPUTS = (
 """What of a header is of the program, or follows from the rest."""
 
 _LATER = {
+    "mounted": TaskConfig.mounted,
     "sensor": TaskConfig.sensor,
     "engine": TaskConfig.engine,
     "segmenter": TaskConfig.segmenter,

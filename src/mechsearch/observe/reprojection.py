@@ -111,6 +111,8 @@ def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[n
     between, around = smooth.ravel()[pixels], corners.reshape(4, -1)[:, pixels]
     onto = np.linalg.inv(view.pose) @ camera.pose
     times = _samples(onto, pixels[between], around[:, between], camera, view)
+    reach = _in_reach(onto, pixels, around, between, camera, view)
+    pixels, around, between = pixels[reach], around[:, reach], between[reach]
     best = np.full(view.width * view.height, np.inf)
     fallen = []
     for a, b in product(np.arange(times) / times, repeat=2):
@@ -127,12 +129,31 @@ def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[n
         fallen.append((place, z, source, np.hypot(u - np.rint(u), v - np.rint(v))))
     place, z, source, away = map(np.concatenate, zip(*fallen, strict=True))
     front = z <= best[place] + edge_step(best[place], view)
-    # The last of those in one place is written: the one next to its middle.
-    order = front.nonzero()[0][np.argsort(-away[front], kind="stable")]
+    place, z, source, away = place[front], z[front], source[front], away[front]
+    least = np.full(len(best), np.inf)
+    np.minimum.at(least, place, away)
+    middle = away == least[place]
     found, near = np.full(len(best), -1, np.intp), np.zeros(len(best), np.float32)
-    found[place[order]], near[place[order]] = source[order], z[order]
+    found[place[middle]], near[place[middle]] = source[middle], z[middle]
     shape = (view.height, view.width)
     return near.reshape(shape), found.reshape(shape)
+
+
+def _in_reach(
+    onto: Floats, pixels: Array, around: Floats, between: Array, camera: Camera, view: Camera
+) -> Array:
+    """Return which pixels (K,) may be seen in a view: no side of it has all their corners."""
+    u, v, z = _projected(_placed(onto, pixels, 1 / around[0], camera), view)
+    seen = np.ones(len(pixels), np.bool_)
+    for place, length in ((u, view.width), (v, view.height)):
+        off = place - (length - 1) / 2
+        # Below and after the last pixel there is room for what is next to it.
+        beyond = np.zeros((camera.height + 2, camera.width), np.int8)
+        beyond.ravel()[pixels] = np.where((z > 0) & (np.abs(off) > length / 2), np.sign(off), 0)
+        corners = (beyond.ravel()[pixels + at] for at in (0, 1, camera.width, camera.width + 1))
+        own, *others = corners
+        seen &= np.where(between, np.abs(own + sum(others)) < 4, own == 0)
+    return seen
 
 
 def _placed(
