@@ -59,6 +59,23 @@ def exported_actor(actor, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def exported_segmenter(tmp_path_factory):
+    """The shipped network, told of the target of `SimulatedRobot` by a file of its views."""
+    for module in ("torch", "onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(module)
+    from mechsearch.cli import main
+    from mechsearch.segmentation.photographs import save_references
+    from mechsearch.segmentation.reference import render_references
+    from tests.robot.simulated_robot import SEEN_HEAP, SimulatedRobot
+
+    place = tmp_path_factory.mktemp("segmenter")
+    save_references(place / "views.npz", render_references(SimulatedRobot(SEEN_HEAP).target))
+    words = f"export segmenter shipped --reference {place / 'views.npz'} --out {place / 'carried'}"
+    main(words.split())
+    return place / "carried"
+
+
+@pytest.fixture(scope="session")
 def observations():
     """What is seen in some episodes."""
     import mechsearch

@@ -35,7 +35,7 @@ def tell(**facts):
 
 
 def image(bus, topic, array, encoding, now):
-    size = array.shape[1] * array.itemsize
+    size = array.nbytes // len(array)
     bus.publish(
         topic, "sensor_msgs/msg/Image", header=header(now, "camera"), height=array.shape[0],
         width=array.shape[1], encoding=encoding, is_bigendian=0, step=size, data=array.tobytes(),
@@ -43,9 +43,11 @@ def image(bus, topic, array, encoding, now):
 
 
 def publish_frame(bus, topics, frame, now):
-    """Publish depth, mask and camera info of a frame."""
+    """Publish depth, camera info, mask and, where there are, colours of a frame."""
     depth, camera = np.round(1000 * frame.depth).astype(np.uint16), frame.camera
     image(bus, topics.depth, depth, "16UC1", now)
+    if frame.colour is not None:
+        image(bus, topics.colour, np.ascontiguousarray(frame.colour), "rgb8", now)
     image(bus, topics.mask, frame.mask.astype(np.uint8), "mono8", now)
     roi = message_type("sensor_msgs/msg/RegionOfInterest")(
         x_offset=0, y_offset=0, height=0, width=0, do_rectify=False

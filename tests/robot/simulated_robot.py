@@ -14,6 +14,9 @@ from mechsearch.sim.world import World
 STEP = 0.005
 """Time of one step of physics, and of the guard [s]."""
 
+SEEN_HEAP = 1
+"""Whose target the shipped segmenter finds."""
+
 IMAGES_EVERY = 10
 """Steps between two images."""
 
@@ -37,6 +40,7 @@ class SimulatedRobot:
         heaps, objects = heaps or open_heaps(embedded_file("single"))
         self.heap = heaps.heaps[heap]
         models = [objects.models[name] for name in self.heap.objects]
+        self.target = models[self.heap.target]
         self.world = World(models, Workspace(), Pusher(), walls)
         self.world.reset(self.heap.poses, np.array(start))
         self.renderer = Renderer(models, pusher_model(Pusher()))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mechsearch.cli import main
 from mechsearch.robot.bags import Topics, read_bag
 from mechsearch.types import MechSearchError
-from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, LIMITS, SimulatedRobot
+from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, LIMITS, SEEN_HEAP, SimulatedRobot
 
 pytest.importorskip("rosbags")
 
@@ -28,7 +28,7 @@ TOPICS = Topics()
 @pytest.fixture(scope="module")
 def recorded():
     """Four images of a robot that stands still, and the tool."""
-    robot = SimulatedRobot()
+    robot = SimulatedRobot(SEEN_HEAP)
     frames = []
     for _ in range(4):
         frames.append((robot.frame(colour=True), robot.tool()))
@@ -175,13 +175,13 @@ def test_what_is_no_bag_is_refused(tmp_path):
         list(read_bag(tmp_path, TOPICS))
 
 
-def play(bag, policy, out):
+def play(bag, policy, out, *more):
     place = [*BASE_FROM_WORKSPACE[:3, 3].tolist(), 90.0]
     corners = [f"--low {' '.join(map(str, LIMITS['low']))}", "--high 0.82 0.32 0.36"]
     words = (
         f"robot play {bag} --policy {policy} --out {out} --workspace {' '.join(map(str, place))}"
     )
-    main([*words.split(), *" ".join(corners).split()])
+    main([*words.split(), *" ".join(corners).split(), *map(str, more)])
 
 
 def test_a_bag_is_played(recorded, exported_pushes, tmp_path, capsys):
@@ -210,6 +210,29 @@ def test_a_bag_is_played(recorded, exported_pushes, tmp_path, capsys):
     with pytest.raises(SystemExit):
         play(bag, exported_pushes, out)
     assert "there already" in capsys.readouterr().err
+
+
+def test_a_bag_without_masks_is_played_with_a_segmenter(
+    recorded, exported_pushes, exported_segmenter, tmp_path, capsys
+):
+    rows = list(messages(recorded))
+    bag, out = written(tmp_path / "bag", rows, leave_out=(TOPICS.mask,)), tmp_path / "out"
+    with pytest.raises(SystemExit):
+        play(bag, exported_pushes, out)
+    assert "no mask at /target/mask" in capsys.readouterr().err
+    play(bag, exported_pushes, out, "--segmenter", exported_segmenter)
+    assert "move to (" in capsys.readouterr().out
+    # The outline that is drawn is that of what was found, around the target.
+    picture = np.array(Image.open(out / "0001.png"))
+    drawn, frame = (picture == (230, 40, 40)).all(axis=2), recorded[0][0]
+    assert drawn.sum() > 10
+    rows, columns = np.nonzero(frame.mask)
+    at = np.array([axis.mean() for axis in np.nonzero(drawn)])
+    np.testing.assert_allclose(at, [rows.mean(), columns.mean()], atol=8)
+    blind = written(tmp_path / "blind", messages(recorded), leave_out=(TOPICS.colour,))
+    with pytest.raises(SystemExit):
+        play(blind, exported_pushes, tmp_path / "none", "--segmenter", exported_segmenter)
+    assert "no colour at" in capsys.readouterr().err
 
 
 def test_a_bad_bag_leaves_nothing_behind(recorded, exported_pushes, tmp_path, capsys):

@@ -11,14 +11,13 @@ import torch
 
 import mechsearch.segmentation.network as own
 from mechsearch.camera import Camera, look_at, preset
+from mechsearch.observe.masks import image_channels, mask_features
 from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
     NetworkSegmenter,
     SegmentationNetwork,
-    image_channels,
     load_segmentation_network,
-    mask_features,
     network_segmenter,
     save_segmentation_network,
 )
@@ -68,9 +67,12 @@ def test_images_of_other_sizes_give_masks_of_theirs(fresh, scene, make_box):
     segmenter = NetworkSegmenter(fresh, (1.0, 0.0, 0.0))
     segmenter.look_for(render_references(make_box("box", (0.1, 0.05, 0.03))))
     rgb, depth, camera = scene
-    large = segmenter.logits(rgb.repeat(3, 0).repeat(3, 1), depth.repeat(3, 0).repeat(3, 1),
-                             camera.resized(384))  # fmt: skip
-    np.testing.assert_allclose(large[1::3, 1::3], segmenter.logits(*scene), atol=2e-2)
+    larger = (rgb.repeat(3, 0).repeat(3, 1), depth.repeat(3, 0).repeat(3, 1), camera.resized(384))
+    np.testing.assert_allclose(segmenter.logits(*larger), segmenter.logits(*scene), atol=2e-2)
+    (mask, sure), (large, alike) = segmenter.segment(*scene), segmenter.segment(*larger)
+    assert (large[1::3, 1::3] == mask).mean() > 0.99
+    # Confidence is of the object's size, not of the camera's resolution.
+    assert alike == pytest.approx(sure, abs=1e-3)
     wide = segmenter.segment(rgb[:64], depth[:64], camera.resized(64, 128))
     assert wide[0].shape == (64, 128)
 

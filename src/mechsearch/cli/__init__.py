@@ -33,6 +33,7 @@ COMMANDS = {
     "view": ("viewing:ViewLive", "a live page: watch a policy, push by hand, keep the episode"),
     "export episodes": ("export_episodes:ExportEpisodes", "episodes for LeRobot, Minari"),
     "export policy": ("export_policy:ExportPolicy", "a policy for a robot's computer"),
+    "export segmenter": ("export_segmenter:ExportSegmenter", "masks of one object, likewise"),
     "pack": ("packing:Pack", "a run's policy for others, with a card"),
     "robot play": ("robot:PlayBag", "what a policy would do on a recorded bag; nothing moves"),
     "robot calibrate": ("calibrating:Calibrate", "where a camera is, from images of a board"),
@@ -73,7 +74,16 @@ GRIPPER_COMMANDS = {
 it, about the paper's graspability."""
 
 _NEEDED = {
-    "learn": ("train", "sweep", "pack", "export policy", "grasp", "segment", "demo"),
+    "learn": (
+        "train",
+        "sweep",
+        "pack",
+        "export policy",
+        "export segmenter",
+        "grasp",
+        "segment",
+        "demo",
+    ),
     "report": ("report", "demo"),
 }
 EXTRAS_OF = {

@@ -1,6 +1,6 @@
 """`mechsearch robot`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +14,7 @@ from mechsearch.robot import bags
 from mechsearch.robot.controller import Controller
 from mechsearch.robot.limits import Limits, Motion
 from mechsearch.robot.policy import open_policy
+from mechsearch.robot.segmenter import open_segmenter
 from mechsearch.types import MechSearchError
 
 
@@ -25,6 +26,8 @@ class PlayBag(Command):
         bag: Of ROS 2, in sqlite3 or MCAP.
         policy: What `mechsearch export policy` wrote.
         out: New folder for the pictures and the bag of commands.
+        segmenter: What `mechsearch export segmenter` wrote: finds the target in the bag's colour
+            images, so that it needs no masks.
         workspace: Where the middle of the table's workspace is in the base frame, and about its
             vertical axis how it is turned [m, m, m, degrees].
         low: Lowest corner of the box that the tool stays in, in the base frame [m].
@@ -42,6 +45,7 @@ class PlayBag(Command):
     workspace: tuple[float, float, float, float]
     low: tuple[float, float, float]
     high: tuple[float, float, float]
+    segmenter: Path | None = None
     speed: float = Limits.speed
     seed: int = 0
     calibration: Path | None = None
@@ -56,7 +60,8 @@ class PlayBag(Command):
         pose = [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]]
         limits = Limits(self.low, self.high, self.speed, dry_run=True)
         rng = np.random.default_rng(self.seed)
-        controller = Controller(open_policy(self.policy), pose, limits, rng)
+        segmenter = None if self.segmenter is None else open_segmenter(self.segmenter)
+        controller = Controller(open_policy(self.policy), pose, limits, rng, segmenter)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{self.out.name}.", dir=self.out.parent) as partial:
             self._play(controller, Path(partial, self.out.name))
@@ -69,12 +74,15 @@ class PlayBag(Command):
         lines: list[str] = []
         with bars() as progress:
             told = partial(progress, f"images of {self.bag.name}")
-            for frame, tool in bags.read_bag(self.bag, self.topics, self.calibration, told):
+            masks = self.segmenter is None
+            seen = bags.read_bag(self.bag, self.topics, self.calibration, told, masks)
+            for frame, tool in seen:
                 motions.append(motion := controller.step(frame, tool, frame.time))
                 if len(motions) > 1 and (motion.goal == motions[-2].goal).all():
                     continue
                 lines.append(_told(motion))
-                bags.draw(frame, tool, motion).save(out / f"{len(motions):04d}.png")
+                drawn = replace(frame, mask=controller.mask)
+                bags.draw(drawn, tool, motion).save(out / f"{len(motions):04d}.png")
         say("\n".join(lines))
         bags.write_commands(out / "commands", motions, self.topics.base, bags.is_mcap(self.bag))
 

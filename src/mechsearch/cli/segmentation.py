@@ -24,6 +24,7 @@ from mechsearch.cli.command import (
     wrote,
 )
 from mechsearch.evaluation.episodes import load_episodes, mean_interval, share_interval
+from mechsearch.observe.masks import LEAST_CONFIDENCE
 from mechsearch.pictures.canvas import captioned, tiled, tinted
 from mechsearch.segmentation.images import (
     ImageConfig,
@@ -35,12 +36,7 @@ from mechsearch.segmentation.images import (
 from mechsearch.segmentation.judging import Found, found_by, partly_hidden
 from mechsearch.segmentation.occlusion_training import OcclusionTrainConfig, train_occlusion
 from mechsearch.segmentation.photographs import save_references, views_of_photographs
-from mechsearch.segmentation.segmenter import (
-    LEAST_CONFIDENCE,
-    SHIPPED,
-    make_segmenter,
-    visible_target,
-)
+from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter, visible_target
 from mechsearch.segmentation.training import SegmentTrainConfig, train_segmentation
 
 

@@ -130,11 +130,12 @@ def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[n
     place, z, source, away = map(np.concatenate, zip(*fallen, strict=True))
     front = z <= best[place] + edge_step(best[place], view)
     place, z, source, away = place[front], z[front], source[front], away[front]
-    least = np.full(len(best), np.inf)
-    np.minimum.at(least, place, away)
-    middle = away == least[place]
+    # The one next to a place's middle is written; the last, where several are.
+    middle = np.full(len(best), np.inf)
+    np.minimum.at(middle, place, away)
+    next_to = away == middle[place]
     found, near = np.full(len(best), -1, np.intp), np.zeros(len(best), np.float32)
-    found[place[middle]], near[place[middle]] = source[middle], z[middle]
+    found[place[next_to]], near[place[next_to]] = source[next_to], z[next_to]
     shape = (view.height, view.width)
     return near.reshape(shape), found.reshape(shape)
 

@@ -26,7 +26,7 @@ _ENCODINGS = {
     "rgba8": ("u1", 4), "bgra8": ("u1", 4), "mono8": ("u1", 1), "8UC1": ("u1", 1),
 }  # fmt: skip
 DEPTH_ENCODINGS, MASK_ENCODINGS = ("16UC1", "32FC1"), ("mono8", "8UC1")
-_COLOUR = ("rgb8", "bgr8", "rgba8", "bgra8")
+COLOUR = ("rgb8", "bgr8", "rgba8", "bgra8")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,6 @@ _TYPES = {
     "mask": "sensor_msgs/msg/Image", "colour": "sensor_msgs/msg/Image",
     "tool": "geometry_msgs/msg/PoseStamped", "wrench": "geometry_msgs/msg/WrenchStamped",
 }  # fmt: skip
-_OPTIONAL = ("colour", "wrench")
 _OF_A_BOARD = ("colour", "camera_info", "tool")
 _TRANSFORMS = ("/tf", "/tf_static")
 
@@ -71,6 +70,7 @@ def read_bag(
     topics: Topics,
     calibration: Path | None = None,
     told: Callable[[int, int], object] = lambda *_: None,
+    masks: bool = True,
 ) -> Iterator[tuple[CameraFrame, Tool]]:
     """Yield what a robot saw, image by image, once it is certain that the bag is whole.
 
@@ -80,6 +80,7 @@ def read_bag(
         calibration: File that says where the camera is, of `write_calibration`; None takes what
             the bag's transforms say.
         told: Told when an image is dealt with how many are, and of how many.
+        masks: Whether they are read, or else colours are needed, for a segmenter.
 
     Raises:
         MechSearchError: If a topic or transform is missing, an encoding is unknown, images differ
@@ -87,8 +88,10 @@ def read_bag(
     """
     check_extra("reading a bag", "robot")
     with _opened(path) as reader:
-        _check_topics(reader, path, topics, tuple(_TYPES), _OPTIONAL)
-        index, transforms = _indexed(reader, topics, path, tuple(_TYPES))
+        names = [name for name in _TYPES if masks or name != "mask"]
+        optional = ("colour", "wrench") if masks else ("wrench",)
+        _check_topics(reader, path, topics, names, optional)
+        index, transforms = _indexed(reader, topics, path, names, optional)
         known = None if calibration is None else read_calibration(calibration)
         images = index["depth"]
         for done, (stamp, recorded) in enumerate(images, start=1):
@@ -113,7 +116,7 @@ def read_board_views(path: Path, topics: Topics) -> tuple[Camera, list[BoardView
     check_extra("reading a bag", "robot")
     with _opened(path) as reader:
         _check_topics(reader, path, topics, _OF_A_BOARD, ())
-        index = _indexed(reader, topics, path, _OF_A_BOARD)[0]
+        index = _indexed(reader, topics, path, _OF_A_BOARD, ())[0]
         by_topic, tools = _by_topic(reader), list[tuple[float, Floats]]()
         for _, _, raw in reader.messages([by_topic[topics.tool]]):
             message = reader.deserialize(raw, _TYPES["tool"])
@@ -132,7 +135,7 @@ def read_board_views(path: Path, topics: Topics) -> tuple[Camera, list[BoardView
                 connection = by_topic[topics.colour]
                 found = next(reader.messages([connection], recorded, recorded + 1))
                 message = reader.deserialize(found[2], connection.msgtype)
-                image = decoded_image(message, topics.colour, (*_COLOUR, *MASK_ENCODINGS))
+                image = decoded_image(message, topics.colour, (*COLOUR, *MASK_ENCODINGS))
                 views.append(BoardView(f"the image at {stamp:.3f} s", image, near[0][1]))
         _, _, raw = next(reader.messages([by_topic[topics.camera_info]]))
         info = reader.deserialize(raw, _TYPES["camera_info"])
@@ -272,7 +275,7 @@ def seconds_of(header: Any) -> float:
 
 
 def _indexed(
-    reader: Any, topics: Topics, path: Path, kinds: Sequence[str]
+    reader: Any, topics: Topics, path: Path, kinds: Sequence[str], optional: Sequence[str]
 ) -> tuple[dict[str, list[tuple[float, int]]], dict[str, list[tuple[float, str, Floats]]]]:
     """Return when messages of each kind were stamped [s] and recorded [ns], and all transforms.
 
@@ -293,7 +296,6 @@ def _indexed(
             pose = transform_from_pose([t.x, t.y, t.z, r.w, r.x, r.y, r.z])
             child = one.child_frame_id.strip("/")
             transforms.setdefault(child, []).append((since, one.header.frame_id.strip("/"), pose))
-    optional = _OPTIONAL if "depth" in kinds else ()
     if missing := [n for n in kinds if n not in optional and not index[n]]:
         raise MechSearchError(
             f"{path} has no message at {getattr(topics, missing[0])}, its {missing[0]}"
@@ -323,7 +325,7 @@ def _seen(
     calibration: CameraCalibration | None,
 ) -> tuple[CameraFrame, Tool]:
     def nearest(name: str) -> Any:
-        rows = index[name]
+        rows = index.get(name, [])
         place = bisect_right(rows, (stamp, 0))
         some = rows[max(place - 1, 0) : place + 1]
         best = min(some, key=lambda row: abs(row[0] - stamp), default=(np.inf, 0))
@@ -353,7 +355,7 @@ def _seen(
         calibration.check_camera(camera)
     size = (camera.height, camera.width)
     images = {}
-    for name, encodings in (("mask", MASK_ENCODINGS), ("colour", _COLOUR)):
+    for name, encodings in (("mask", MASK_ENCODINGS), ("colour", COLOUR)):
         found = nearest(name)
         image = None if found is None else decoded_image(found, getattr(topics, name), encodings)
         if image is not None and image.shape[:2] != size:

@@ -12,6 +12,7 @@ from mechsearch.observe.observation import position_image, without_holes
 from mechsearch.observe.reprojection import Reprojection, reproject
 from mechsearch.robot.limits import MOVE, RETREAT, STOP, Limits, Motion, Tool
 from mechsearch.robot.policy import Chooser
+from mechsearch.robot.segmenter import ExportedSegmenter
 from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
 
 _REACHED = 0.004
@@ -27,7 +28,8 @@ class CameraFrame:
 
     Attributes:
         depth: (H, W) [m], floating-point numbers; 0 or not finite in holes.
-        mask: Visible pixels of the target (H, W) bool; None where the segmenter said nothing.
+        mask: Visible pixels of the target (H, W) bool; None where nobody said, so that the
+            controller's own segmenter looks, if it has one.
         camera: Its intrinsics, and as `world_from_camera` its pose in the robot's base frame.
         time: When it was taken [s].
         colour: (H, W, 3) uint8, or None.
@@ -53,6 +55,8 @@ class Controller:
     Attributes:
         refusal: Why it has stopped; empty while it has not.
         seen: The last images that it decided on, in the policy's view; None before.
+        mask: Of the target in the image that it was asked about last (H, W) bool, given or, for a
+            decision, looked for; else None.
         goal: Of the present motion (3,) [m] in the base frame; None before.
     """
 
@@ -62,6 +66,7 @@ class Controller:
         base_from_workspace: ArrayLike,
         limits: Limits,
         rng: np.random.Generator | None = None,
+        segmenter: ExportedSegmenter | None = None,
     ) -> None:
         """Set a robot up.
 
@@ -71,12 +76,14 @@ class Controller:
                 the table below the middle of the policy's view, its z axis points up.
             limits: In the robot's base frame.
             rng: Of the policy's candidates.
+            segmenter: From `robot.segmenter.open_segmenter`: finds the target in images that come
+                with colours and without a mask.
 
         Raises:
             MechSearchError: If the transform is not rigid or tips the table, or the box of the
                 limits and the workspace have nothing in common.
         """
-        self.policy, self.limits = policy, limits
+        self.policy, self.limits, self.segmenter = policy, limits, segmenter
         self.view = policy.camera
         pose = np.asarray(base_from_workspace, np.float64)
         # A camera's pose is checked as any other.
@@ -106,6 +113,7 @@ class Controller:
         self.refusal = ""
         self.seen: Reprojection | None = None
         self.goal: Floats | None = None
+        self.mask: Array | None = None
         self._motion: Motion | None = None
         self._camera: Camera | None = None
         self._until, self._lost = 0.0, 0
@@ -119,6 +127,7 @@ class Controller:
             now: [s], of the clock of both.
             stop: Whether somebody presses the stop.
         """
+        self.mask = frame.mask
         if not self.refusal:
             try:
                 self._check(frame, tool, now)
@@ -148,8 +157,10 @@ class Controller:
             )
         if (force := float(np.linalg.norm(tool.force))) > limits.force:
             raise _RefusalError(f"{force:.1f} N at the tool; expected at most {limits.force}", True)
-        if frame.mask is None:
+        if frame.mask is None and self.segmenter is None:
             raise _RefusalError("no mask of the target came with the image", True)
+        if frame.mask is None and frame.colour is None:
+            raise _RefusalError("neither mask nor colours came with the image", True)
         if frame.colour is not None and float(np.mean(frame.colour)) <= _BLACK:
             raise _RefusalError("the colour image is black", True)
         first = self._camera = self._camera or frame.camera
@@ -187,7 +198,10 @@ class Controller:
         """Return what the policy sees; count the looks that show no target."""
         pose = self._workspace_from_base @ frame.camera.pose
         camera = replace(frame.camera, world_from_camera=tuple(pose.ravel().tolist()))
-        self.seen = reproject(frame.depth, camera, self.view, frame.mask, frame.colour)
+        if frame.mask is None:
+            assert self.segmenter is not None
+            self.mask = self.segmenter.segment(np.asarray(frame.colour), frame.depth, camera)[0]
+        self.seen = reproject(frame.depth, camera, self.view, self.mask, frame.colour)
         mask = np.asarray(self.seen.mask)
         self._lost = 0 if mask.any() else self._lost + 1
         if self._lost >= self.limits.lost_looks:

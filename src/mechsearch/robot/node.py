@@ -139,7 +139,10 @@ class ControllerNode:
     def __init__(
         self, controller: Controller, base_from_camera: Floats, bus: Bus, topics: bags.Topics
     ) -> None:
-        """Take a controller, and the pose (4, 4) of a fixed camera in the base frame."""
+        """Take a controller, and the pose (4, 4) of a fixed camera in the base frame.
+
+        It hears masks; where the controller has a segmenter, colours in their place.
+        """
         self.controller, self._bus, self._topics = controller, bus, topics
         self._pose = base_from_camera
         self._depth: Any = None
@@ -155,19 +158,23 @@ class ControllerNode:
         """
         bus, topics = self._bus, self._topics
         image = "sensor_msgs/msg/Image"
-        depth, mask = bus.newest(topics.depth, image), bus.newest(topics.mask, image)
+        looks = self.controller.segmenter is not None
+        depth = bus.newest(topics.depth, image)
+        other = bus.newest(topics.colour if looks else topics.mask, image)
         info = bus.newest(topics.camera_info, "sensor_msgs/msg/CameraInfo")
         pose, wrench = bus.newest(topics.tool, _POSE), bus.newest(topics.wrench, _WRENCH)
         pressed = bus.newest(STOP_TOPIC, "std_msgs/msg/Bool")
-        if None in (depth, mask, info, pose):
+        if None in (depth, other, info, pose):
             return None
-        if depth is not self._depth and mask.header.stamp == depth.header.stamp:
+        if depth is not self._depth and other.header.stamp == depth.header.stamp:
             self._depth = depth
+            colour = bags.decoded_image(other, topics.colour, bags.COLOUR) if looks else None
             self._frame = CameraFrame(
                 bags.decoded_image(depth, topics.depth, bags.DEPTH_ENCODINGS),
-                bags.decoded_image(mask, topics.mask, bags.MASK_ENCODINGS) > 0,
+                None if looks else bags.decoded_image(other, topics.mask, bags.MASK_ENCODINGS) > 0,
                 bags.rectified_camera(info, topics, self._pose),
                 bags.seconds_of(depth.header),
+                colour,
             )
         if self._frame is None:
             return None

@@ -1,28 +1,18 @@
 """A policy as `mechsearch export policy` writes it: a network for onnxruntime, and what it is."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from importlib.metadata import version
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from mechsearch.camera import Camera, preset
-from mechsearch.files import read_json
 from mechsearch.observe.observation import KINDS
 from mechsearch.pushes.chooser import PushChooser
 from mechsearch.pushes.push import NUMBERS, PATCH, Push, Sight, view_pushes
-from mechsearch.types import Array, Floats, MechSearchError, Observation, check_extra, select
-
-FORMAT = 1
-"""Of an exported policy; others are refused."""
-
-DESCRIPTION_FILE, ONNX_FILE = "policy.json", "policy.onnx"
-
-OPSET = 18
-"""Version of the operators of ONNX that networks are written in."""
+from mechsearch.robot.network import Network, open_exported, tensors
+from mechsearch.types import Array, Floats, Observation, select
 
 _BY_NETWORK = ("K", "N")
 _PUSH_TENSORS = {
@@ -63,7 +53,7 @@ def described_tensors(
         inputs: Sequence[str] = keys
     else:
         inputs = [name for name in known if name not in _OUTPUTS[kind]]
-    rows = {n: dict(zip(("shape", "dtype", "unit"), row, strict=True)) for n, row in known.items()}
+    rows = tensors(known)
     return {n: rows[n] for n in inputs}, {n: rows[n] for n in _OUTPUTS[kind]}
 
 
@@ -72,12 +62,12 @@ class Description:
     """What stands beside the network.
 
     Attributes:
-        format: See `FORMAT`.
+        format: See `robot.network.FORMAT`.
         mechsearch: Version that wrote it.
         name: Of the policy.
         kind: "pushes" or "actions"; see `described_tensors`.
         network: SHA-256 of the network's file.
-        opset: See `OPSET`.
+        opset: See `robot.network.OPSET`.
         inputs: By name.
         outputs: By name.
         camera: View of the images, a name for `camera.preset`.
@@ -158,64 +148,17 @@ def open_policy(folder: str | Path) -> Chooser:
     Raises:
         MechSearchError: If it is missing, damaged, or written for another version.
     """
-    description, network = _description(Path(folder)), Path(folder) / ONNX_FILE
-    if not network.is_file():
-        raise MechSearchError(
-            f"no network at {network}; expected what `mechsearch export policy` wrote"
-        )
-    content = network.read_bytes()
-    if hashlib.sha256(content).hexdigest() != description.network:
-        raise MechSearchError(
-            f"{network} is not the network that {DESCRIPTION_FILE} beside it describes; export the "
-            "policy again"
-        )
     kinds: dict[str, type[ExportedPushes | ExportedActor]] = {
         "pushes": ExportedPushes, "actions": ExportedActor,
     }  # fmt: skip
-    return kinds[description.kind](description, _Network(content))
-
-
-def _description(folder: Path) -> Description:
-    path, purpose = folder / DESCRIPTION_FILE, "exported policy"
-    found = read_json(path, purpose)
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        said = found.get("format") if isinstance(found, dict) else None
-        written = found.get("mechsearch", "an unknown version") if isinstance(found, dict) else "?"
-        raise MechSearchError(
-            f"{path} is of format {said}, written by mechsearch {written}; mechsearch "
-            f"{version('mechsearch')} reads format {FORMAT}: export the policy again with it"
-        )
-    names = {field.name for field in fields(Description)}
-    if missing := sorted(names - set(found)):
-        raise MechSearchError(f"the {purpose} at {path} is damaged: it lacks {missing[0]}")
-    if found["kind"] not in _OUTPUTS:
-        raise MechSearchError(
-            f"{path} describes {found['kind']!r}; choose one of {', '.join(_OUTPUTS)}"
-        )
-    return Description(**{name: found[name] for name in names})
-
-
-class _Network:
-    """A network in a session of one thread."""
-
-    def __init__(self, content: bytes) -> None:
-        check_extra("an exported policy", "robot")
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        providers = ["CPUExecutionProvider"]
-        self._session = onnxruntime.InferenceSession(content, options, providers)
-        self._names = [output.name for output in self._session.get_outputs()]
-
-    def __call__(self, **inputs: Array) -> dict[str, Array]:
-        return dict(zip(self._names, self._session.run(None, inputs), strict=True))
+    description, network = open_exported(Path(folder), "policy", Description, list(kinds))
+    return kinds[description.kind](description, network)
 
 
 class ExportedPushes(PushChooser):
     """Chooses whole pushes; see `push_values.policy.PushPolicy`."""
 
-    def __init__(self, description: Description, network: _Network) -> None:
+    def __init__(self, description: Description, network: Network) -> None:
         """Take an exported policy's parts; see `open_policy`."""
         self.description, self._network = description, network
         view = preset(description.camera, description.image_size)
@@ -262,7 +205,7 @@ class ExportedPushes(PushChooser):
 class ExportedActor:
     """Chooses single actions; see `actor_critic.policy.ActorPolicy`."""
 
-    def __init__(self, description: Description, network: _Network) -> None:
+    def __init__(self, description: Description, network: Network) -> None:
         """Take an exported policy's parts; see `open_policy`."""
         self.description, self._network = description, network
         self.camera = preset(description.camera, description.image_size)

@@ -1,17 +1,17 @@
 """The segmentation network: pixels of an RGB-D image held against reference views of the target."""
 
 from collections.abc import Mapping, Sequence
-from math import exp
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor, nn
 from torch.nn import functional
 
 from mechsearch.camera import Camera
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
+from mechsearch.observe.masks import CHANNELS, logits_by, mask_of
 from mechsearch.segmentation.layers import (
     COLOUR_CHANNELS,
     Convolution,
@@ -21,46 +21,23 @@ from mechsearch.segmentation.layers import (
     doubled,
 )
 from mechsearch.segmentation.reference import GRID, References
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Array, MechSearchError
 
 _KIND = "mechsearch segmentation network"
 
 _SHIPPED = Path(__file__).with_name("segmentation.safetensors")
 
-CHANNELS, REFERENCE_CHANNELS = 6, 6
-"""Of what is seen of an image, and of a reference view; see `image_channels` and
-`reference_channels`."""
+REFERENCE_CHANNELS = 6
+"""Of what is seen of a reference view; see `reference_channels`."""
 
-_PIXEL, _HEIGHT, _WIDTH = 0.0054, 0.1, 0.1
-"""What becomes 0 or 1 of a pixel's side on the table, of a height, and of a view's width [m]."""
+_WIDTH = 0.1
+"""What becomes 0 of a view's width [m]."""
 
 _PARTS = 3
 """Rows and columns of the parts of a view whose mean colours are compared."""
 
 _HEADS, _KEYS = 4, 16
 """Of attention, and numbers of a key."""
-
-
-def image_channels(rgb: Array, depth: Array, camera: Camera) -> Array:
-    """Return what the network sees of an image (6, H, W) float32.
-
-    These are colours; height over the table; whether depth is known; how large a pixel is there.
-
-    Args:
-        rgb: Colours (H, W, 3) uint8.
-        depth: Along the optical axis (H, W) [m]; 0 or not finite in holes.
-        camera: Where it is believed to be, in a world whose table is at height 0.
-    """
-    known = (depth > 0) & (depth < np.inf)
-    z = np.where(known, depth, 1.0)
-    pose = camera.pose
-    height = (camera.directions() * z[..., None]) @ pose[2, :3] + pose[2, 3]
-    out = np.empty((CHANNELS, *depth.shape), np.float32)
-    out[:3] = np.moveaxis(rgb, -1, 0) / np.float32(255) - np.float32(0.5)
-    out[3] = np.where(known, np.clip(height / _HEIGHT, -1, 4), 0)
-    out[4] = ~known
-    out[5] = np.log(z / camera.fx / _PIXEL)
-    return out
 
 
 def reference_channels(rgb: Tensor, mask: Tensor, width: Tensor) -> Tensor:
@@ -213,6 +190,23 @@ class SegmentationNetwork(nn.Module):
         return logits.float() + (doubled(x[:, 4:]) * fine).sum(1).float()
 
 
+class Finding(nn.Module):
+    """A network that has been told what to find, for export."""
+
+    def __init__(self, network: SegmentationNetwork, target: Sequence[Tensor]) -> None:
+        """Take features of one target, from `SegmentationNetwork.look`."""
+        super().__init__()
+        self._network = network
+        for number, feature in enumerate(target):
+            self.register_buffer(f"feature{number}", feature.clone())
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Return logits (1, H, W) on an image (1, 6, H, W)."""
+        features = self._network.encode(image)
+        first = torch.zeros(1, dtype=torch.long)
+        return self._network.decode(features, list(self.buffers(recurse=False)), first)
+
+
 class NetworkSegmenter:
     """Finds an object by a network; a `Segmenter`."""
 
@@ -229,36 +223,25 @@ class NetworkSegmenter:
         with asked_alike():
             self._target = self._network.look(views[None])
 
+    def to_export(self, references: References) -> tuple[Finding, tuple[float, ...]]:
+        """Return what finds one object on channels of an image, and weights of its confidence."""
+        self.look_for(references)
+        assert self._target is not None
+        return Finding(self._network, self._target), self._weights
+
     def segment(self, rgb: Array, depth: Array, camera: Camera) -> tuple[Array, float]:
         """Return the target's mask and its confidence; see `Segmenter`.
 
         Raises:
             MechSearchError: If it has not been told what to look for.
         """
-        logits = self.logits(rgb, depth, camera)
-        features = (*mask_features(logits).tolist(), 1.0)
-        chance = sum(weight * value for weight, value in zip(self._weights, features, strict=True))
-        return logits > 0, 1 / (1 + exp(-min(max(chance, -30.0), 30.0)))
+        return mask_of(self.logits(rgb, depth, camera), self._weights, camera)
 
     def logits(self, rgb: Array, depth: Array, camera: Camera) -> Array:
-        """Return the logits (H, W) of a mask, found on the network's own grid; see `segment`."""
+        """Return the logits of a mask on the network's own grid; see `masks.logits_by`."""
         if self._target is None:
             raise MechSearchError("a segmenter without reference views; call look_for first")
-        if (camera.height, camera.width) == (GRID, GRID):
-            return self._found(image_channels(rgb, depth, camera))
-        # The longer side fills the grid, so that pixels stay square.
-        scale = GRID / max(camera.height, camera.width)
-        height, width = (max(round(side * scale), 1) for side in (camera.height, camera.width))
-        rows, columns = (
-            ((np.arange(new) + 0.5) * old / new).astype(np.intp)
-            for new, old in ((height, camera.height), (width, camera.width))
-        )
-        colours = np.asarray(Image.fromarray(rgb).resize((width, height), Image.Resampling.BOX))
-        small = camera.resized(height, width)
-        seen = np.zeros((CHANNELS, GRID, GRID), np.float32)
-        seen[:, :height, :width] = image_channels(colours, depth[np.ix_(rows, columns)], small)
-        found = Image.fromarray(self._found(seen)[:height, :width])
-        return np.asarray(found.resize((camera.width, camera.height), Image.Resampling.BILINEAR))
+        return logits_by(self._found, GRID, rgb, depth, camera)
 
     def _found(self, seen: Array) -> Array:
         assert self._target is not None
@@ -271,17 +254,6 @@ class NetworkSegmenter:
 def network_segmenter(path: Path | None = None) -> NetworkSegmenter:
     """Return the segmenter that a network is; None takes the one that comes with the package."""
     return NetworkSegmenter(*load_segmentation_network(path))
-
-
-def mask_features(logits: Array) -> Floats:
-    """Return from what a mask's confidence is computed (2,): expected IoU and size, as logits."""
-    chance = 1 / (1 + np.exp(-np.clip(logits, -30, 30).astype(np.float64)))
-    inside = logits > 0
-    size = int(inside.sum())
-    if not size:
-        return np.array([-6.0, 0.0])
-    share = np.clip(chance[inside].sum() / (size + chance[~inside].sum()), 1e-3, 1 - 1e-3)
-    return np.array([np.log(share / (1 - share)), np.log(size)])
 
 
 def load_segmentation_network(
@@ -300,6 +272,12 @@ def load_segmentation_network(
     fill(network, archive.tensors)
     network = network.to(memory_format=torch.channels_last)
     return network.eval().requires_grad_(False), tuple(archive.meta["confidence"])
+
+
+def segmentation_card(path: Path | None = None) -> dict[str, Any]:
+    """Return what is known of a network's training; see `load_segmentation_network`."""
+    meta = load_archive(path or _SHIPPED, _KIND).meta
+    return {name: value for name, value in meta.items() if name != "confidence"}
 
 
 def save_segmentation_network(

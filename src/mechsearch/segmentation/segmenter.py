@@ -10,6 +10,7 @@ from PIL import Image
 from mechsearch.camera import Camera, preset
 from mechsearch.entry_point import called, conforming, is_entry_point, load_entry_point
 from mechsearch.objects.model import ObjectModel
+from mechsearch.observe.masks import LEAST_CONFIDENCE, check_seen, counted
 from mechsearch.segmentation.occlusion import (
     Occlusion,
     can_be_judged,
@@ -28,12 +29,6 @@ NEVER = "never"
 
 LEAST_CHANCE, LOOKS = 0.75, 3
 """Chance of being uncovered with which an episode is ended, in so many looks one after another."""
-
-LEAST_CONFIDENCE = 0.5
-"""Below it a mask counts as empty: as if nothing of the target were visible."""
-
-_LEAST_PIXELS = 4
-"""Of a mask; a smaller one counts as empty too."""
 
 _NETWORK = "mechsearch.segmentation.network:network_segmenter"
 _SUFFIX = ".safetensors"
@@ -122,26 +117,16 @@ def visible_target(
         MechSearchError: If colours, depth and camera differ in size, the depth is holes alone, or
             the segmenter gives anything but a mask and a confidence.
     """
-    shape = (camera.height, camera.width)
-    if depth.shape != shape or rgb.shape != (*shape, 3) or rgb.dtype != np.uint8:
-        raise MechSearchError(
-            f"colours {rgb.shape} of {rgb.dtype.name} and depth {depth.shape}; expected uint8 and "
-            f"the camera's {shape}"
-        )
-    if not ((depth > 0) & (depth < np.inf)).any():
-        raise MechSearchError("depth is holes alone, 0 or not finite; expected metres")
+    check_seen(rgb, depth, camera)
     found = called(segmenter.segment, "segmenter", type(segmenter).__name__, rgb, depth, camera)
     expected = "a segmenter gives a mask as large as the image, and a confidence from 0 to 1"
     if not (isinstance(found, tuple) and len(found) == 2):
         raise MechSearchError(f"{expected}; got {shown(found)}")
     mask = real_array(found[0], expected)
     confidence = float(real_array(found[1], expected).reshape(-1)[0])
-    if mask.shape != shape or not 0.0 <= confidence <= 1.0:
+    if mask.shape != depth.shape or not 0.0 <= confidence <= 1.0:
         raise MechSearchError(f"{expected}; got a mask {mask.shape} and {confidence}")
-    seen = mask > 0.5
-    if confidence < least or seen.sum() < _LEAST_PIXELS:
-        seen = np.zeros(shape, np.bool_)
-    return seen, confidence
+    return counted(mask > 0.5, confidence, least), confidence
 
 
 class TargetFinder:

@@ -18,15 +18,14 @@ from torch.nn import functional
 
 from mechsearch.files import alone
 from mechsearch.files.tensors import resume, save_progress
+from mechsearch.observe.masks import image_channels, mask_features
 from mechsearch.processes import Progress, silent
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
     NetworkSegmenter,
     SegmentationNetwork,
-    image_channels,
     load_segmentation_network,
-    mask_features,
     reference_channels,
     save_segmentation_network,
 )

@@ -1,19 +1,27 @@
-"""Trained policies for computers without PyTorch."""
+"""Trained policies and segmenters for computers without PyTorch."""
 
 import hashlib
 import logging
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
 from mechsearch.evaluation import policies
 from mechsearch.files import write_json, write_whole
 from mechsearch.robot import policy as exported
+from mechsearch.robot import segmenter as masks
+from mechsearch.robot.network import FORMAT, OPSET, places
+from mechsearch.segmentation.network import segmentation_card
+from mechsearch.segmentation.reference import GRID, References
+from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter
 from mechsearch.types import MechSearchError, check_extra
+
+D = TypeVar("D")
 
 
 def export_policy(spec: str, folder: Path) -> exported.Description:
@@ -38,32 +46,75 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
     run = policies.config_of_run(spec)
     task = policies.task_of(policy, run, "overhead")
     inputs, outputs = exported.described_tensors(kind, inner.keys, task.image_size)
-    path = folder / exported.ONNX_FILE
-    write_whole(path, lambda place: _write(network, examples, list(inputs), list(outputs), place))
     bounds, shipped = task.workspace, spec in policies.SHIPPED_POLICIES
     card = policies.card(spec) if shipped else {"config": run, "actor": policies.actor_of(spec)}
-    description = exported.Description(
-        format=exported.FORMAT, mechsearch=version("mechsearch"), name=spec, kind=kind,
-        network=hashlib.sha256(path.read_bytes()).hexdigest(), opset=exported.OPSET,
-        inputs=inputs, outputs=outputs, camera=task.camera, image_size=task.image_size,
+    return _exported(
+        exported.Description, "policy", folder, network, examples, inputs, outputs,
+        name=spec, kind=kind, camera=task.camera, image_size=task.image_size,
         low=[-bounds.half, -bounds.half, bounds.low], high=[bounds.half, bounds.half, bounds.high],
         candidates=getattr(inner, "candidates", 0), card=card,
         searches=getattr(inner, "searches", False),
     )  # fmt: skip
-    write_json(folder / exported.DESCRIPTION_FILE, asdict(description))
-    return description
+
+
+def export_segmenter(
+    spec: str, references: References, target: str, folder: Path
+) -> masks.SegmenterDescription:
+    """Write a segmenter that looks for one object, for `robot.segmenter.open_segmenter`.
+
+    Args:
+        spec: "shipped", or a network's file.
+        references: Views of the object; what the network makes of them is computed here.
+        target: What to call it.
+        folder: For the network and its description.
+
+    Raises:
+        MechSearchError: If there is no such segmenter, or it is not a network.
+    """
+    check_extra("`mechsearch export segmenter`", "export")
+    segmenter: Any = make_segmenter(spec)
+    if not hasattr(segmenter, "to_export"):
+        raise MechSearchError(
+            f"the segmenter {spec} is a {type(segmenter).__name__}, which is not exported; "
+            f"expected {SHIPPED}, or a network's file"
+        )
+    network, confidence = segmenter.to_export(references)
+    inputs, outputs = masks.described_masks(GRID)
+    shape = inputs["image"]["shape"]
+    return _exported(
+        masks.SegmenterDescription, "segmenter", folder, network, (torch.zeros(shape),),
+        inputs, outputs, name=spec, kind="masks", image_size=GRID, confidence=confidence,
+        target=target, views=len(references.width),
+        card=segmentation_card(None if spec == SHIPPED else Path(spec)),
+    )  # fmt: skip
+
+
+def _exported(
+    description: Callable[..., D], what: str, folder: Path, network: torch.nn.Module, examples: Any,
+    inputs: Mapping[str, Any], outputs: Mapping[str, Any], **facts: Any,
+) -> D:  # fmt: skip
+    beside, place = places(folder, what)
+    write_whole(place, lambda to: _write(network, examples, list(inputs), list(outputs), to))
+    written = description(
+        format=FORMAT, mechsearch=version("mechsearch"), opset=OPSET, inputs=inputs,
+        network=hashlib.sha256(place.read_bytes()).hexdigest(), outputs=outputs, **facts,
+    )  # fmt: skip
+    facts_of: Any = written
+    write_json(beside, asdict(facts_of))
+    return written
 
 
 def _write(
     network: torch.nn.Module, examples: Any, inputs: list[str], outputs: list[str], path: Path
 ) -> None:
     several = {0: torch.export.Dim("N", min=1, max=65536)} if examples[0].shape[0] > 1 else None
-    # What it does not find, it does not need.
-    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    # What the exporter does not find, it does not need; what is not folded is computed.
+    for name in ("torch.onnx._internal.exporter._registration", "onnxscript.optimizer"):
+        logging.getLogger(name).setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            network.eval(), examples, dynamo=True, opset_version=exported.OPSET, verbose=False,
+            network.eval(), examples, dynamo=True, opset_version=OPSET, verbose=False,
             input_names=inputs, output_names=outputs,
             dynamic_shapes=[several] * len(examples) if several else None,
         )  # fmt: skip

@@ -1,0 +1,99 @@
+"""A mask network as `mechsearch export segmenter` writes it, with the target's views in it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mechsearch.camera import Camera
+from mechsearch.observe.masks import CHANNELS, check_seen, counted, logits_by, mask_of
+from mechsearch.robot.network import Network, open_exported, tensors
+from mechsearch.types import Array
+
+KINDS = ("masks",)
+"""Of exported segmenters."""
+
+
+@dataclass(frozen=True)
+class SegmenterDescription:
+    """What stands beside the network.
+
+    Attributes:
+        format: See `robot.network.FORMAT`.
+        mechsearch: Version that wrote it.
+        name: Of the segmenter.
+        kind: "masks".
+        network: SHA-256 of the network's file.
+        opset: See `robot.network.OPSET`.
+        inputs: By name: shape, dtype and unit each; what is in it, see `masks.image_channels`.
+        outputs: By name.
+        image_size: Side of the grid on which it looks; images may have any size [px].
+        confidence: Weights (3,) of `masks.mask_of`.
+        target: What it looks for: the views' file, or an object's name.
+        views: How many views of it are in the network.
+        card: What is known of its training.
+    """
+
+    format: int
+    mechsearch: str
+    name: str
+    kind: str
+    network: str
+    opset: int
+    inputs: Mapping[str, Any]
+    outputs: Mapping[str, Any]
+    image_size: int
+    confidence: Sequence[float]
+    target: str
+    views: int
+    card: Mapping[str, Any]
+
+
+def described_masks(side: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the inputs and outputs of a mask network on a grid (side, side)."""
+    unit = "colours less 0.5 (3), dm above the table, 1 in holes, log of a pixel's side by 5.4 mm"
+    inputs = tensors({"image": ((1, CHANNELS, side, side), "float32", unit)})
+    return inputs, tensors({"logits": ((1, side, side), "float32", "logit of the target")})
+
+
+def open_segmenter(folder: str | Path) -> "ExportedSegmenter":
+    """Return a segmenter that `mechsearch export segmenter` wrote; needs the `robot` extra.
+
+    Raises:
+        MechSearchError: If it is missing, damaged, or written for another version.
+    """
+    return ExportedSegmenter(*open_exported(Path(folder), "segmenter", SegmenterDescription, KINDS))
+
+
+class ExportedSegmenter:
+    """Finds the one object whose views it has."""
+
+    def __init__(self, description: SegmenterDescription, network: Network) -> None:
+        """Take an exported segmenter's parts; see `open_segmenter`."""
+        self.description, self._network = description, network
+
+    def segment(self, rgb: Array, depth: Array, camera: Camera) -> tuple[NDArray[np.bool_], float]:
+        """Return where the target is seen (H, W), and how sure that is, in [0, 1].
+
+        The mask is empty where that is less than `masks.LEAST_CONFIDENCE`, or it is tiny.
+
+        Args:
+            rgb: Colours (H, W, 3) uint8.
+            depth: Along the optical axis (H, W) [m]; 0 or not finite in holes.
+            camera: Where it is believed to be, in a world whose table is at height 0.
+
+        Raises:
+            MechSearchError: If colours, depth and camera differ in size, or the depth is holes
+                alone.
+        """
+        check_seen(rgb, depth, camera)
+        logits = logits_by(self._logits, self.description.image_size, rgb, depth, camera)
+        mask, confidence = mask_of(logits, self.description.confidence, camera)
+        return counted(mask, confidence), confidence
+
+    def _logits(self, seen: Array) -> Array:
+        found: Array = self._network(image=seen[None])["logits"][0]
+        return found
