@@ -1,8 +1,8 @@
 """Networks as `mechsearch export` writes them: for onnxruntime, each beside what it is."""
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,13 +10,43 @@ from typing import Any, TypeVar
 from mechsearch.files import read_json
 from mechsearch.types import Array, MechSearchError, check_extra
 
-D = TypeVar("D")
-
 FORMAT = 1
 """Of what is exported; others are refused."""
 
 OPSET = 18
 """Version of the operators of ONNX that networks are written in."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What stands beside an exported network; policies and segmenters add their own.
+
+    Attributes:
+        format: See `FORMAT`.
+        mechsearch: Version that wrote it.
+        name: Of the policy or segmenter.
+        kind: What it gives.
+        network: SHA-256 of the network's file.
+        opset: See `OPSET`.
+        inputs: By name: shape, dtype and unit each.
+        outputs: Likewise.
+        image_size: Side of the images that it looks at [px].
+        card: What is known of its training.
+    """
+
+    format: int
+    mechsearch: str
+    name: str
+    kind: str
+    network: str
+    opset: int
+    inputs: Mapping[str, Any]
+    outputs: Mapping[str, Any]
+    image_size: int
+    card: Mapping[str, Any]
+
+
+D = TypeVar("D", bound=Exported)
 
 
 def places(folder: Path, what: str) -> tuple[Path, Path]:
@@ -37,7 +67,7 @@ def open_exported(
     Args:
         folder: Of both files.
         what: See `places`.
-        description: Record that has, among others, the fields `kind` and `network`.
+        description: Record of what stands beside the network.
         kinds: That can be used.
 
     Raises:
@@ -52,7 +82,7 @@ def open_exported(
             f"{beside} is of format {said}, written by mechsearch {written}; mechsearch "
             f"{version('mechsearch')} reads format {FORMAT}: export the {what} again with it"
         )
-    names = {field.name for field in fields(description)}  # type: ignore[arg-type]
+    names = {field.name for field in fields(description)}
     if missing := sorted(names - set(found)):
         raise MechSearchError(f"the exported {what} at {beside} is damaged: it lacks {missing[0]}")
     if found["kind"] not in kinds:

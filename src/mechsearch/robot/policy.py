@@ -1,6 +1,6 @@
 """A policy as `mechsearch export policy` writes it: a network for onnxruntime, and what it is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,7 +11,7 @@ from mechsearch.camera import Camera, preset
 from mechsearch.observe.observation import KINDS
 from mechsearch.pushes.chooser import PushChooser
 from mechsearch.pushes.push import NUMBERS, PATCH, Push, Sight, view_pushes
-from mechsearch.robot.network import Network, open_exported, tensors
+from mechsearch.robot.network import Exported, Network, open_exported, tensors
 from mechsearch.types import Array, Floats, Observation, select
 
 _BY_NETWORK = ("K", "N")
@@ -58,42 +58,22 @@ def described_tensors(
 
 
 @dataclass(frozen=True)
-class Description:
-    """What stands beside the network.
+class Description(Exported):
+    """What stands beside the network, of the kind "pushes" or "actions"; see `described_tensors`.
 
     Attributes:
-        format: See `robot.network.FORMAT`.
-        mechsearch: Version that wrote it.
-        name: Of the policy.
-        kind: "pushes" or "actions"; see `described_tensors`.
-        network: SHA-256 of the network's file.
-        opset: See `robot.network.OPSET`.
-        inputs: By name.
-        outputs: By name.
         camera: View of the images, a name for `camera.preset`.
-        image_size: Their side [px].
         low: Lowest corner of the workspace (3,) [m].
         high: Highest corner (3,) [m].
         candidates: Pushes to judge each time; 0 where it judges none.
-        card: What is known of its training.
         searches: Whether it looks for a hidden target all over the heap; see `PushChooser`.
     """
 
-    format: int
-    mechsearch: str
-    name: str
-    kind: str
-    network: str
-    opset: int
-    inputs: Mapping[str, Any]
-    outputs: Mapping[str, Any]
     camera: str
-    image_size: int
     low: Sequence[float]
     high: Sequence[float]
     candidates: int
-    card: Mapping[str, Any]
-    searches: bool = False
+    searches: bool
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A mask network as `mechsearch export segmenter` writes it, with the target's views in it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
 from mechsearch.observe.masks import CHANNELS, check_seen, counted, logits_by, mask_of
-from mechsearch.robot.network import Network, open_exported, tensors
+from mechsearch.robot.network import Exported, Network, open_exported, tensors
 from mechsearch.types import Array
 
 KINDS = ("masks",)
@@ -18,38 +18,21 @@ KINDS = ("masks",)
 
 
 @dataclass(frozen=True)
-class SegmenterDescription:
-    """What stands beside the network.
+class SegmenterDescription(Exported):
+    """What stands beside the network, whose kind is "masks".
+
+    Images may have any size; it looks on a grid of `image_size`. Its input is what
+    `masks.image_channels` returns.
 
     Attributes:
-        format: See `robot.network.FORMAT`.
-        mechsearch: Version that wrote it.
-        name: Of the segmenter.
-        kind: "masks".
-        network: SHA-256 of the network's file.
-        opset: See `robot.network.OPSET`.
-        inputs: By name: shape, dtype and unit each; what is in it, see `masks.image_channels`.
-        outputs: By name.
-        image_size: Side of the grid on which it looks; images may have any size [px].
         confidence: Weights (3,) of `masks.mask_of`.
         target: What it looks for: the views' file, or an object's name.
         views: How many views of it are in the network.
-        card: What is known of its training.
     """
 
-    format: int
-    mechsearch: str
-    name: str
-    kind: str
-    network: str
-    opset: int
-    inputs: Mapping[str, Any]
-    outputs: Mapping[str, Any]
-    image_size: int
     confidence: Sequence[float]
     target: str
     views: int
-    card: Mapping[str, Any]
 
 
 def described_masks(side: int) -> tuple[dict[str, Any], dict[str, Any]]:

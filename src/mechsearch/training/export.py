@@ -15,13 +15,13 @@ from mechsearch.evaluation import policies
 from mechsearch.files import write_json, write_whole
 from mechsearch.robot import policy as exported
 from mechsearch.robot import segmenter as masks
-from mechsearch.robot.network import FORMAT, OPSET, places
+from mechsearch.robot.network import FORMAT, OPSET, Exported, places
 from mechsearch.segmentation.network import segmentation_card
 from mechsearch.segmentation.reference import GRID, References
 from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter
 from mechsearch.types import MechSearchError, check_extra
 
-D = TypeVar("D")
+D = TypeVar("D", bound=Exported)
 
 
 def export_policy(spec: str, folder: Path) -> exported.Description:
@@ -99,8 +99,7 @@ def _exported(
         format=FORMAT, mechsearch=version("mechsearch"), opset=OPSET, inputs=inputs,
         network=hashlib.sha256(place.read_bytes()).hexdigest(), outputs=outputs, **facts,
     )  # fmt: skip
-    facts_of: Any = written
-    write_json(beside, asdict(facts_of))
+    write_json(beside, asdict(written))
     return written
 
 
