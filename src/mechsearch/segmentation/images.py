@@ -114,6 +114,19 @@ class Images:
         """Return some, by a mask (n,) or indices."""
         return Images(*(getattr(self, f.name)[keep] for f in fields(self)))
 
+    def apart(self, share: float) -> tuple[Array, Array]:
+        """Return indices of images to learn from, and of those of a share of heaps kept apart.
+
+        Raises:
+            MechSearchError: If there is only one heap.
+        """
+        heaps = np.unique(self.heap)
+        held = heaps[:: max(2, round(1 / share))]
+        learn, check = (np.flatnonzero(np.isin(self.heap, held) == own) for own in (False, True))
+        if not len(learn):
+            raise MechSearchError(f"images of {len(heaps)} heap; expected at least 2")
+        return learn, check
+
     def seen(self, index: int) -> tuple[Array, Array, Camera]:
         """Return an image's colours, depth (G, G) [m], 0 in holes, and camera."""
         fx, fy, cx, cy, *pose = self.camera[index].astype(np.float64).tolist()

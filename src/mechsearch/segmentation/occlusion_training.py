@@ -92,11 +92,8 @@ def train_occlusion(
     """
     with alone(folder / "training", f"the training {folder}"):
         torch.set_num_threads(1)
-        images, heaps = seen.images, np.unique(seen.images.heap)
-        held = heaps[:: max(2, round(1 / config.validation))]
-        learn, check = (np.flatnonzero(np.isin(images.heap, held) == own) for own in (False, True))
-        if not len(learn):
-            raise MechSearchError(f"images of {len(heaps)} heap; expected at least 2")
+        images = seen.images
+        learn, check = images.apart(config.validation)
         areas = [silhouette_areas(views.mask, views.width) for views in seen.references]
         torch.manual_seed(config.seed)
         network = OcclusionNetwork().to(memory_format=torch.channels_last)

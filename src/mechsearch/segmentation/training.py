@@ -106,11 +106,7 @@ def train_segmentation(
     with alone(folder / "training", f"the training {folder}"):
         torch.set_num_threads(1)
         images = seen.images
-        heaps = np.unique(images.heap)
-        held = heaps[:: max(2, round(1 / config.validation))]
-        learn, check = (np.flatnonzero(np.isin(images.heap, held) == own) for own in (False, True))
-        if not len(learn):
-            raise MechSearchError(f"images of {len(heaps)} heap; expected at least 2")
+        learn, check = images.apart(config.validation)
         torch.manual_seed(config.seed)
         network = SegmentationNetwork() if start is None else load_segmentation_network(start)[0]
         network = network.to(memory_format=torch.channels_last).requires_grad_(True)
