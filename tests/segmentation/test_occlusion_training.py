@@ -1,22 +1,13 @@
 """A training of the estimate of occlusion can be cut off, and its chances are what they say."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from mechsearch.segmentation import occlusion_training as training
-from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.occlusion import make_estimator, silhouette_areas
 from mechsearch.segmentation.occlusion_training import OcclusionTrainConfig, train_occlusion
 from mechsearch.types import MechSearchError
-
-
-@pytest.fixture(scope="module")
-def seen():
-    config = ImageConfig(1, "all", 6, ("perfect",), randomised=False, also=(), variants=0)
-    return see_heaps(Path("household-single"), "", config)
 
 
 @pytest.fixture(autouse=True)

@@ -1,24 +1,15 @@
 """A training of the segmentation can be cut off, and learns what it is shown."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 from mechsearch.segmentation import training
-from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.network import load_segmentation_network
 from mechsearch.segmentation.training import SegmentTrainConfig, train_segmentation
 from mechsearch.types import MechSearchError
 
 SMALL = {"batch": 2, "targets": 2, "views": 2, "validation": 0.3}
-
-
-@pytest.fixture(scope="module")
-def seen():
-    config = ImageConfig(1, "all", 6, ("perfect",), randomised=False, also=(), variants=0)
-    return see_heaps(Path("household-single"), "", config)
 
 
 @pytest.fixture(autouse=True)
