@@ -31,14 +31,17 @@ TOLD = {
     "name": "straight", "authors": "A. Tester", "privileged": False, "executed_actions": 0,
     "tried_actions": 0, "training_heaps": (), "training_objects": (), "weights": "",
 }  # fmt: skip
+SMALL = {"tiny", "blurred", "other"}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def splits():
     """Three household heaps, and three others: an entry each in the table, and nothing more."""
     sets = [load_heaps(embedded_file(name)) for name in ("single", "dual")]
+    tiny = Split(embedded_file("single").name, sets[0].hash, "held-out", 3, "household heaps")
     found = {
-        "tiny": Split(embedded_file("single").name, sets[0].hash, "held-out", 3, "household heaps"),
+        "tiny": tiny,
+        "blurred": replace(tiny, sensor="stereo", segmenter="shipped"),
         "other": Split(embedded_file("dual").name, sets[1].hash, "held-out", 3, "household heaps"),
     }
     with pytest.MonkeyPatch.context() as patch:
@@ -50,7 +53,7 @@ def splits():
 def recorded(split: str = "tiny", **settings):
     plan = EvaluationPlan(
         "teacher-straight", FOLDER / BENCHMARK_SPLITS[split].file, limit=3,
-        task=replace(fixed_task("uncover", "overhead"), **settings),
+        task=replace(fixed_task("uncover", "single", "overhead"), **settings),
     )  # fmt: skip
     return evaluate_plan(plan)
 
@@ -112,6 +115,20 @@ def test_what_its_actions_do_not_give_is_refused_by_name(straight):
             submissions.verified(forged(straight, **change), FOLDER)
         assert str(first.heap_seed) in str(refused.value)
         assert "\n" not in str(refused.value)
+
+
+def test_a_split_that_is_seen_otherwise_takes_what_was_seen_so():
+    seen = {"sensor": "stereo", "segmenter": "shipped"}
+    with pytest.raises(MechSearchError, match=r"acted in another task: .*sensor") as refused:
+        submissions.submission_of(recorded(), "uncover", "blurred", TOLD, "overhead")
+    assert "segmenter" in str(refused.value)
+    with pytest.raises(MechSearchError, match="acted in another task"):
+        submissions.submission_of(recorded(**seen), "uncover", "tiny", TOLD, "overhead")
+    made = submissions.submission_of(recorded(**seen), "uncover", "blurred", TOLD, "overhead")
+    assert submissions.verified(made, FOLDER).replay["differing"] == 0
+    env = make_benchmark_env("uncover", "blurred", FOLDER)
+    assert (env.config.sensor, env.config.segmenter) == ("stereo", "shipped")
+    assert make_benchmark_env("retrieve", "blurred", FOLDER).config.sensor == "stereo"
 
 
 def test_every_heap_of_the_split_has_one_episode(straight):
@@ -226,7 +243,7 @@ def test_the_unseen_objects_follow_their_rule():
 
 
 def test_every_split_of_the_repository_is_the_heap_set_that_its_entry_names():
-    for name in set(BENCHMARK_SPLITS) - {"tiny", "other"}:
+    for name in set(BENCHMARK_SPLITS) - SMALL:
         split = BENCHMARK_SPLITS[name]
         metadata = pq.read_schema(ROOT / "results/heaps" / split.file).metadata
         assert metadata[b"sha256"].decode() == split.heap_set
@@ -259,7 +276,7 @@ FIXED = {
 def test_a_task_that_changes_gets_a_new_version():
     """Whoever changes one of these must raise the version of the tasks that it concerns."""
     for name, number in (("uncover", 1), ("retrieve", 1)):
-        now = asdict(fixed_task(name, "overhead"))
+        now = asdict(fixed_task(name, "single", "overhead"))
         known = {key: value for key, value in FIXED.items() if key in now}
         same = {
             key: {part: now[key][part] for part in value} if isinstance(value, dict) else now[key]
@@ -271,7 +288,7 @@ def test_a_task_that_changes_gets_a_new_version():
 def test_the_registered_ids_make_the_heaps_of_their_split(monkeypatch):
     assert set(environment_ids()) >= {"mechsearch/BenchmarkUncoverSingle-v1"}
     assert set(environment_ids()) - set(gymnasium.registry) == {
-        name for name, made in environment_ids().items() if made["split"] in ("tiny", "other")
+        name for name, made in environment_ids().items() if made["split"] in SMALL
     }
     env = make_benchmark_env("uncover", "tiny", FOLDER)
     chosen = load_heaps(embedded_file("single")).choose("held-out", 3)
@@ -334,7 +351,7 @@ def test_the_commands_list_run_and_table(tmp_path, capsys):
     for name, split in BENCHMARK_SPLITS.items():
         line = next(line for line in said.splitlines() if line.startswith(f"{name} "))
         assert split.heap_set[:12] in line
-        assert line.endswith("yes" if name in ("tiny", "other") else "no")
+        assert line.endswith("yes" if name in SMALL else "no")
     made, results, out = tmp_path / "idle.npz", tmp_path / "results", tmp_path / "table.md"
     main(["benchmark", "run", "idle", "--task", "uncover", "--split", "tiny", "--authors", "A",
           "--heaps", str(FOLDER), "--out", str(made), "--workers", "1"])  # fmt: skip

@@ -11,22 +11,25 @@ from mechsearch.types import ACTOR_KEYS, RETRIEVAL_KEYS, MechSearchError
 
 
 def fixed_task(
-    name: str, camera: str, image_size: int = 64, grippers: Sequence[str] = ()
+    name: str, split: str, camera: str, image_size: int = 64, grippers: Sequence[str] = ()
 ) -> TaskConfig:
-    """Return the task of a name: fixed, but for what the policy chooses.
+    """Return the task of a name on a split: fixed, but for what the policy chooses.
 
     Args:
         name: Of `BENCHMARK_TASKS`.
+        split: Of `BENCHMARK_SPLITS`.
         camera: View from which occlusion is measured, that of the heaps.
         image_size: Side of the policy's images [px].
         grippers: Names of those that retrieve; empty takes the usual one.
 
     Raises:
-        MechSearchError: If there is no such task, or a choice is no good.
+        MechSearchError: If there is no such task or split, or a choice is no good.
     """
+    heaps = entry(BENCHMARK_SPLITS, "split", split)
     if not entry(BENCHMARK_TASKS, "task", name).retrieves:
-        return TaskConfig(camera, image_size)
-    return RetrievalTask(camera, image_size, grippers=tuple(grippers) or RetrievalTask.grippers)
+        return TaskConfig(camera, image_size, sensor=heaps.sensor, segmenter=heaps.segmenter)
+    grippers = tuple(grippers) or RetrievalTask.grippers
+    return RetrievalTask(camera, image_size, sensor=heaps.sensor, grippers=grippers)
 
 
 def open_split(name: str, folder: Path, objects: str = "") -> tuple[Path, HeapSet]:
@@ -84,6 +87,6 @@ def make_benchmark_env(
         heap_set.heaps[i]
         for i in heap_set.choose(BENCHMARK_SPLITS[split].part, BENCHMARK_SPLITS[split].limit)
     ]
-    fixed = fixed_task(task, heap_set.camera, image_size, grippers)
+    fixed = fixed_task(task, split, heap_set.camera, image_size, grippers)
     usual = RETRIEVAL_KEYS if isinstance(fixed, RetrievalTask) else ACTOR_KEYS
     return make_environment(chosen, models, fixed, keys or usual, privileged, render_mode)

@@ -1,7 +1,7 @@
 """The benchmark's tasks and splits, each one entry in a table, and what they are fixed by."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from mechsearch.types import MechSearchError
@@ -35,7 +35,7 @@ class BenchmarkTask:
 
 @dataclass(frozen=True)
 class Split:
-    """The heaps of a task, fixed by their hash.
+    """The heaps of a task, fixed by their hash, and how well they are seen.
 
     Attributes:
         file: Heap set, in the folder of heap sets.
@@ -44,6 +44,8 @@ class Split:
         limit: How many of them, spread evenly; 0 takes all.
         what: The heaps in words.
         unseen: Objects that must not have lain in a heap of the training.
+        sensor: As of the task.
+        segmenter: As of the task; who retrieves has the sensor's masks all the same.
     """
 
     file: str
@@ -52,6 +54,8 @@ class Split:
     limit: int
     what: str
     unseen: tuple[str, ...] = ()
+    sensor: str = "perfect"
+    segmenter: str = "true"
 
 
 BENCHMARK_TASKS = {
@@ -97,6 +101,13 @@ BENCHMARK_SPLITS = {
         "single heaps of 20, 30 and 40 objects",
     ),
 }
+
+BENCHMARK_SPLITS["stereo"] = replace(
+    BENCHMARK_SPLITS["single"],
+    what="heaps of the split single, as a stereo camera and the shipped segmenter see them",
+    sensor="stereo",
+    segmenter="shipped",
+)
 
 Entry = TypeVar("Entry")
 

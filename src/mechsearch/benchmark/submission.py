@@ -241,7 +241,7 @@ def act(
                 f"policy for the task {entrant.task}"
             )
         grippers = own.grippers if isinstance(own, RetrievalTask) else ()
-        return fixed_task(entrant.task, heap_set.camera, own.image_size, grippers)
+        return fixed_task(entrant.task, entrant.split, heap_set.camera, own.image_size, grippers)
 
     if policy.endswith(SUFFIX):
         evaluation = load_episodes(Path(policy))
@@ -308,7 +308,7 @@ def submission_of(
     kind = RetrieveConfig if header.get("goal") == "retrieve" else HeapEnvConfig
     acted = task_from_json(kind, header["env"])
     grippers = acted.grippers if isinstance(acted, RetrievalTask) else ()
-    fixed = _config(task, camera, acted.image_size, grippers)
+    fixed = _config(task, split, camera, acted.image_size, grippers)
     if type(acted) is not type(fixed):
         raise MechSearchError(
             f"{header['name']} has episodes of another task than {task}; choose the one that its "
@@ -428,8 +428,10 @@ def _whole(planes: Array, dtype: str) -> Array:
     return np.ascontiguousarray(planes.T).reshape(-1).view(dtype)
 
 
-def _config(task: str, camera: str, image_size: int, grippers: Sequence[str]) -> HeapEnvConfig:
-    fixed = fixed_task(task, camera, image_size, grippers)
+def _config(
+    task: str, split: str, camera: str, image_size: int, grippers: Sequence[str]
+) -> HeapEnvConfig:
+    fixed = fixed_task(task, split, camera, image_size, grippers)
     kind = RetrieveConfig if isinstance(fixed, RetrievalTask) else HeapEnvConfig
     return kind.of_task(fixed, ())
 
@@ -465,7 +467,7 @@ def verified(
     _check_heaps(submission, heap_set)
     _check_bounds(submission)
     elsewhere = crossed(card.fingerprint, now := fingerprint())
-    config = _config(card.task, heap_set.camera, card.image_size, card.grippers)
+    config = _config(card.task, card.split, heap_set.camera, card.image_size, card.grippers)
     again = play_all(
         f"{card.name} played again", submission.claims, config, file, objects, workers, progress,
         mapper, idle=bool(elsewhere),
@@ -518,7 +520,7 @@ def played(
     """
     card = submission.card
     file, heap_set = open_split(card.split, folder, objects)
-    config = _config(card.task, heap_set.camera, card.image_size, card.grippers)
+    config = _config(card.task, card.split, heap_set.camera, card.image_size, card.grippers)
     claims = [claim for claim in submission.claims if claim.heap_seed == heap_seed]
     again = play_all(card.name, claims, config, file, objects, idle=True)
     (record,) = again
