@@ -237,3 +237,9 @@ def test_a_table_that_is_elsewhere_is_refused_before_anything_moves():
         Limits(**LIMITS, speed=-1)
     with pytest.raises(MechSearchError, match="box"):
         Limits(LIMITS["high"], LIMITS["low"])
+    # Its farthest corner is (0.3, -0.6, 0.2): 0.7 m away.
+    box = {"low": (-0.2, -0.6, 0.1), "high": (0.3, 0.3, 0.2)}
+    assert Limits(**box, reach=0.701).reach == 0.701
+    for reach in (0.699, -1, np.nan):
+        with pytest.raises(MechSearchError, match=rf"up to 0\.700 m .* reach of {reach}"):
+            Limits(**box, reach=reach)

@@ -33,6 +33,7 @@ class PlayBag(Command):
         low: Lowest corner of the box that the tool stays in, in the base frame [m].
         high: Highest corner [m].
         speed: Of the tip [m/s].
+        reach: How far the tip gets from the base's origin [m].
         seed: Of the policy's candidates.
         calibration: What `mechsearch robot calibrate` wrote; without it, the bag's transforms say
             where the camera is.
@@ -47,6 +48,7 @@ class PlayBag(Command):
     high: tuple[float, float, float]
     segmenter: Path | None = None
     speed: float = Limits.speed
+    reach: float = Limits.reach
     seed: int = 0
     calibration: Path | None = None
     topics: Annotated[bags.Topics, FLAT] = field(default_factory=bags.Topics)
@@ -58,7 +60,7 @@ class PlayBag(Command):
         x, y, z, degrees = self.workspace
         c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
         pose = [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]]
-        limits = Limits(self.low, self.high, self.speed, dry_run=True)
+        limits = Limits(self.low, self.high, self.speed, reach=self.reach, dry_run=True)
         rng = np.random.default_rng(self.seed)
         segmenter = None if self.segmenter is None else open_segmenter(self.segmenter)
         controller = Controller(open_policy(self.policy), pose, limits, rng, segmenter)

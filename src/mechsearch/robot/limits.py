@@ -1,7 +1,7 @@
 """What a robot may do whatever it is told: limits, and the guard in its driver that keeps them."""
 
 from dataclasses import dataclass, field
-from math import isfinite
+from math import dist, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,8 @@ class Limits:
         camera_turn: How far it may turn [degrees].
         lost_looks: Decisions in a row at which no target is seen, after which to stop.
         retreat: How far up to go after a refusal [m].
+        reach: How far the tip gets from the base's origin, as a robot's data sheet says [m]. The
+            whole box must be within it.
         dry_run: Whether to decide all, and move nothing.
     """
 
@@ -52,6 +54,7 @@ class Limits:
     camera_turn: float = 2.0
     lost_looks: int = 5
     retreat: float = 0.1
+    reach: float = inf
     dry_run: bool = False
 
     def __post_init__(self) -> None:
@@ -66,6 +69,12 @@ class Limits:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise MechSearchError(f"{name} is {value}; expected a finite number above 0")
+        farthest = np.abs([self.low, self.high]).max(axis=0)
+        if not (away := dist(farthest, (0, 0, 0))) <= self.reach:
+            raise MechSearchError(
+                f"the box from {self.low} to {self.high} m lies up to {away:.3f} m from the base, "
+                f"out of its reach of {self.reach} m"
+            )
 
     def clip(self, position: Array) -> Floats:
         """Return the nearest position (3,) [m] in the box."""
