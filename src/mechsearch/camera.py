@@ -6,8 +6,9 @@ and depth is measured along z, not along the ray.
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import cos, inf, isfinite, radians, sin, tan
+from operator import add
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,8 +81,11 @@ class Camera:
 
     def project_level(self, x: Floats, y: Floats, height: float) -> tuple[Floats, Floats]:
         """Return (column, row) (...) [px] of points of one height [m]; see `project`."""
-        onto = invert(self.pose)
-        across, down, z = (row[0] * x + row[1] * y + row[2] * height + row[3] for row in onto[:3])
+        # What is times 0, much of it where a camera looks straight down, is left out.
+        across, down, z = (
+            reduce(add, [f * term for f, term in zip(row, (x, y, height, 1.0), strict=True) if f])
+            for row in invert(self.pose)[:3]
+        )
         return self.fx * across / z + self.cx, self.fy * down / z + self.cy
 
     def back_project(self, depth: ArrayLike) -> Floats:

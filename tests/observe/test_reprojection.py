@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation
 
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.heaps.dataset import embedded_file, open_heaps
@@ -39,15 +38,16 @@ def test_a_heap_seen_from_the_side_is_as_seen_from_above(heap, size, tilt, dista
     found = reproject(frame.depth, aside, VIEW, frame.modal(heap.target))
     holes = found.depth == 0
     error = np.abs(found.depth - above.depth)[~holes]
-    assert np.quantile(error, 0.95) < 0.001
-    assert error.mean() < 0.002
-    assert (error > 0.01).mean() < 0.04
+    assert np.quantile(error, 0.95) < 1e-5
+    assert error.mean() < 0.0005
+    assert (error > 0.01).mean() < 0.01
     # At 0.6 m a camera does not see all of the table.
-    assert holes.mean() < (0.25 if distance == 0.6 else 0.12)
+    assert holes.mean() < (0.27 if distance == 0.6 else 0.12)
     assert np.abs(without_holes(found.depth) - above.depth).mean() < 0.006
-    # What is on the target from the side is on it from above, or borders on it.
+    # Borders stay where they are: near bodies are neither wider nor narrower.
+    target = above.modal(heap.target)
     assert not (found.mask & holes).any()
-    assert not (found.mask & ~binary_dilation(above.amodal[heap.target], np.ones((3, 3)))).any()
+    assert (found.mask != target)[~holes].sum() <= 0.06 * target.sum()
 
 
 @pytest.mark.parametrize("view", [VIEW, camera(160, 120, 30, 0.8)])
@@ -68,6 +68,15 @@ def test_a_denser_view_has_no_holes_between_the_pixels_of_a_surface():
         depth = 1 / (aside.directions() @ aside.pose[2, :3] / -aside.pose[2, 3])
         found = reproject(depth, aside, view)
         np.testing.assert_allclose(found.depth, 1.0, atol=1e-5)
+
+
+def test_surfaces_end_half_way_between_pixels_that_see_an_edge():
+    aside = camera(32, 24, 0.1, 1.2)
+    depth = np.random.default_rng(0).choice([0.0, 0.7, 0.8, 0.9], (24, 32))
+    depth[depth == 0.9] = np.nan
+    found = reproject(depth, aside, aside.resized(96))
+    expected = np.kron(np.nan_to_num(depth), np.ones((4, 4)))
+    np.testing.assert_allclose(found.depth, expected, atol=1e-6)
 
 
 def test_the_nearest_surface_prevails_and_the_floor_is_not_seen_through_the_table(boxes):

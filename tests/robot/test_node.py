@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,14 @@ pytest.importorskip("rosbags")
 
 from rosbags.typesys import Stores, get_typestore
 
-from mechsearch.robot.node import message_type
+from mechsearch.robot.bags import COMMANDS_TOPIC, Topics
+from mechsearch.robot.controller import Controller
+from mechsearch.robot.limits import MOVE
+from mechsearch.robot.node import Bus, ControllerNode, RobotNode, message_type
+from mechsearch.robot.segmenter import open_segmenter
+from tests.robot.processes import SLACK, publish_frame
+from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, SEEN_HEAP, SimulatedRobot
+from tests.robot.test_limits import Onwards
 
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/>"
@@ -118,3 +126,36 @@ def test_messages_are_ros_2s_to_the_byte():
     assert ours.serialize()[4:] == bytes(store.serialize_cdr(theirs, kind))[4:]
     name = message_type("sensor_msgs/msg/Image").__idl__.idl_transformed_typename
     assert name.replace(".", "::") == "sensor_msgs::msg::dds_::Image_"
+
+
+def test_a_controller_finds_the_target_in_colours_that_come_as_messages(
+    exported_segmenter, monkeypatch
+):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain, topics = 20 + (os.getpid() + 90) % 180, Topics()
+    robot, bus = SimulatedRobot(SEEN_HEAP, SLACK), Bus(domain)
+    driver = RobotNode(robot.guard, bus, topics)
+    controller = Controller(
+        Onwards(-1.0, 0.5, 0.0),
+        BASE_FROM_WORKSPACE,
+        SLACK,
+        None,
+        open_segmenter(exported_segmenter),
+    )
+    node = ControllerNode(controller, robot.camera.pose, Bus(domain), topics)
+    seen, motion, ends = robot.frame(colour=True), None, time.monotonic() + 60
+    while motion is None and time.monotonic() < ends:
+        now = time.time()
+        # A mask that shows nothing is not heard.
+        publish_frame(bus, topics, replace(seen, mask=np.zeros_like(seen.mask)), now)
+        driver.step(replace(robot.tool(), time=now), now)
+        motion = node.step(now)
+    assert motion is not None
+    assert motion.kind == MOVE, motion.reason
+    found = controller.mask
+    assert (found & seen.mask).sum() > 0.5 * (found | seen.mask).sum()
+    command = None
+    while command is None and time.monotonic() < ends:
+        command = bus.newest(COMMANDS_TOPIC, "geometry_msgs/msg/PoseStamped")
+    place = command.pose.position
+    np.testing.assert_allclose([place.x, place.y, place.z], motion.goal)

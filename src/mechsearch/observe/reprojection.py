@@ -1,7 +1,6 @@
 """Brings the images of any calibrated camera into the view that a policy knows."""
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,6 @@ from numpy.typing import NDArray
 from mechsearch.camera import Camera
 from mechsearch.observe.observation import check_metres, measured_pixels
 from mechsearch.types import Array, Floats, MechSearchError
-
-_MOST_SAMPLES = 8
-"""Along a pixel's side, in a view that is denser than the image."""
 
 _TABLE_HALF, _TABLE_ERROR = 0.4, 0.03
 """Half the side of the table, and how far below it a point of it may be measured [m]."""
@@ -38,9 +34,9 @@ def reproject(
 ) -> Reprojection:
     """Return the images of any calibrated camera in the view that a policy knows.
 
-    Surfaces are sampled densely enough for the view, between pixels too unless there is an edge; of
-    what falls into one of its pixels the nearest surface prevails, sampled next to the middle.
-    Holes are left to `without_holes`, as of any camera.
+    In each pixel of the view is what is seen in its middle: the nearest surface there. Surfaces go
+    on between pixels of the image, and end half way between them at an edge; mask and colour are
+    those of the pixel next to the middle. Holes are left to `without_holes`, as of any camera.
 
     Args:
         depth: (H, W), floating-point numbers [m]; holes as in `without_holes`, in any number.
@@ -78,7 +74,7 @@ def reproject(
     if not measured.any():
         raise MechSearchError("depth has no depth, 0 or not finite, in any of its pixels")
     check_metres(image[measured], "depth")
-    near, found = _into(np.where(measured, image, 0).astype(np.float64), camera, view)
+    near, found = _into(np.where(measured, image, 0).astype(np.float32), camera, view)
     if not (found >= 0).any():
         raise MechSearchError(
             f"nothing that the camera at {_shown(place)} m sees is in the view of the policy's "
@@ -97,91 +93,153 @@ def reproject(
     return Reprojection(near, taken(mask, np.bool_), taken(colour, np.uint8))
 
 
-def _into(depth: Floats, camera: Camera, view: Camera) -> tuple[Array, NDArray[np.intp]]:
-    """Return depth (H, W) [m] in a view, 0 in holes, and the pixel seen there; -1 in holes."""
-    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
-    # A pixel with its neighbours on the right, below, and beyond: one over depth is linear in it.
-    padded = np.pad(inverse, ((0, 1), (0, 1)))
-    corners = np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
-    low = corners.min(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        smooth = (low > 0) & (1 / low - 1 / corners.max(axis=0) <= edge_step(depth, camera))
-    pixels = np.flatnonzero(inverse)
-    pixels = pixels[~_under_the_table(pixels, depth.ravel()[pixels], camera, view)]
-    between, around = smooth.ravel()[pixels], corners.reshape(4, -1)[:, pixels]
-    onto = np.linalg.inv(view.pose) @ camera.pose
-    times = _samples(onto, pixels[between], around[:, between], camera, view)
-    reach = _in_reach(onto, pixels, around, between, camera, view)
-    pixels, around, between = pixels[reach], around[:, reach], between[reach]
-    best = np.full(view.width * view.height, np.inf)
-    fallen = []
-    for a, b in product(np.arange(times) / times, repeat=2):
-        use = between if a or b else np.ones(len(pixels), np.bool_)
-        weights = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-        z = 1 / sum(w * one[use] for w, one in zip(weights, around, strict=True))
-        u, v, z = _projected(_placed(onto, pixels[use], z, camera, a, b), view)
-        seen = (z > 0) & (np.abs(u - (view.width - 1) / 2) < view.width / 2)
-        seen &= np.abs(v - (view.height - 1) / 2) < view.height / 2
-        u, v, z = u[seen], v[seen], z[seen]
-        place = np.rint(v).astype(np.intp) * view.width + np.rint(u).astype(np.intp)
-        np.minimum.at(best, place, z)
-        source = pixels[use][seen] + (a >= 0.5) + (b >= 0.5) * camera.width
-        fallen.append((place, z, source, np.hypot(u - np.rint(u), v - np.rint(v))))
-    place, z, source, away = map(np.concatenate, zip(*fallen, strict=True))
-    front = z <= best[place] + edge_step(best[place], view)
-    place, z, source, away = place[front], z[front], source[front], away[front]
-    # The one next to a place's middle is written; the last, where several are.
-    middle = np.full(len(best), np.inf)
-    np.minimum.at(middle, place, away)
-    next_to = away == middle[place]
-    found, near = np.full(len(best), -1, np.intp), np.zeros(len(best), np.float32)
-    found[place[next_to]], near[place[next_to]] = source[next_to], z[next_to]
-    shape = (view.height, view.width)
-    return near.reshape(shape), found.reshape(shape)
+def _into(depth: Array, camera: Camera, view: Camera) -> tuple[Array, NDArray[np.intp]]:
+    """Return depth (H, W) [m] in a view, 0 in holes, and the pixel seen there; -1 in holes.
+
+    Four pixels are the corners of a cell, and all cells are drawn into the view. At an edge each
+    corner has its own part of the cell.
+    """
+    # With holes around the image, its last pixels too reach half way beyond their middles.
+    depth = np.pad(depth, 1)
+    width = depth.shape[1]
+    # Over depth, homogeneous places in the view are linear in column, row and one over depth.
+    onto = np.linalg.inv(_from_pixels(view)) @ np.linalg.solve(view.pose, camera.pose)
+    onto = (onto @ _from_pixels(camera)).astype(np.float32)
+    place = np.zeros((4, *depth.shape), np.float32)
+    np.divide(1, depth, out=place[3], where=depth > 0)
+    down, right = (np.arange(n, dtype=np.float32) - 1 for n in depth.shape)
+    for row, out in zip(onto[:3], place[:3], strict=True):
+        np.multiply(place[3], row[3], out=out)
+        out += row[0] * right
+        out += (row[1] * down + row[2])[:, None]
+    depth[place[2] <= 0] = 0
+    nearest, farthest = _of_corners(np.minimum, depth), _of_corners(np.maximum, depth)
+    drawn = (nearest > 0) & (farthest - nearest <= edge_step(nearest, camera))
+    edge = ~drawn & (farthest > 0)
+    ahead = np.where(depth > 0, place[2], 1)
+    for one, length in zip(place, (view.width, view.height), strict=False):
+        # Where the middle of a pixel of the view is in a cell, its corners round up differently.
+        up = np.clip(np.ceil(one / ahead), -1, length + 1).astype(np.int16)
+        first, last = _of_corners(np.minimum, up), _of_corners(np.maximum, up)
+        drawn &= first < last
+        edge &= (last >= 0) & (first <= length)
+    beside = np.array([[0], [1], [width], [width + 1]])
+    whole, apart = (
+        np.flatnonzero(np.pad(cells, ((0, 0), (0, 1)))) + beside for cells in (drawn, edge)
+    )
+    place, depth = place.reshape(4, -1), depth.ravel()
+    parts, corner = _parts(place[:, apart], depth[apart], onto[:3, :2], camera)
+    near, found = _seen(
+        np.concatenate([place[:, whole], parts], axis=2),
+        np.concatenate([whole, np.tile(apart.ravel()[corner], (4, 1))], axis=1),
+        view,
+    )
+    row, column = np.divmod(found, width)
+    return near, np.where(found < 0, -1, (row - 1) * camera.width + column - 1)
 
 
-def _in_reach(
-    onto: Floats, pixels: Array, around: Floats, between: Array, camera: Camera, view: Camera
-) -> Array:
-    """Return which pixels (K,) may be seen in a view: no side of it has all their corners."""
-    u, v, z = _projected(_placed(onto, pixels, 1 / around[0], camera), view)
-    seen = np.ones(len(pixels), np.bool_)
-    for place, length in ((u, view.width), (v, view.height)):
-        off = place - (length - 1) / 2
-        # Below and after the last pixel there is room for what is next to it.
-        beyond = np.zeros((camera.height + 2, camera.width), np.int8)
-        beyond.ravel()[pixels] = np.where((z > 0) & (np.abs(off) > length / 2), np.sign(off), 0)
-        corners = (beyond.ravel()[pixels + at] for at in (0, 1, camera.width, camera.width + 1))
-        own, *others = corners
-        seen &= np.where(between, np.abs(own + sum(others)) < 4, own == 0)
-    return seen
+def _from_pixels(camera: Camera) -> Floats:
+    """Return what takes column, row, 1 and one over depth to a point over depth (4, 4)."""
+    matrix = np.diag([1 / camera.fx, 1 / camera.fy, 1, 1])
+    matrix[:2, 2] = -camera.cx / camera.fx, -camera.cy / camera.fy
+    return matrix
 
 
-def _placed(
-    onto: Floats, pixels: Array, depth: Floats, camera: Camera, right: float = 0, down: float = 0
-) -> list[Floats]:
-    """Return x, y and z (K,) in another frame of points beside pixels, by their flat indices."""
-    x = (pixels % camera.width + right - camera.cx) / camera.fx
-    y = (pixels // camera.width + down - camera.cy) / camera.fy
-    # Not as a product of matrices: on a busy machine, threads for so narrow ones are slow.
-    return [depth * (row[0] * x + row[1] * y + row[2]) + row[3] for row in onto[:3]]
+def _of_corners(reduce: np.ufunc, image: Array) -> Array:
+    """Return what `reduce` makes of the corners of each cell of an image (H - 1, W - 1)."""
+    rows = reduce(image[:-1], image[1:])
+    reduced: Array = reduce(rows[:, :-1], rows[:, 1:])
+    return reduced
 
 
-def _projected(place: list[Floats], view: Camera) -> tuple[Floats, Floats, Floats]:
-    """Return column, row [px] and depth of points in a camera's frame."""
-    x, y, z = place
-    ahead = np.where(z > 0, z, 1.0)
-    return view.fx * x / ahead + view.cx, view.fy * y / ahead + view.cy, z
+def _parts(
+    place: Array, depth: Array, steps: Array, camera: Camera
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return the parts of cells at edges, as cells: half way to both neighbours of each corner.
+
+    Where an edge is between neighbours, the surface goes on to there at the corner's own depth.
+
+    Args:
+        place: Homogeneous places of corners and one over depth, all over depth (4, 4, E): left and
+            right above, left and right below.
+        depth: (4, E) [m], 0 in holes.
+        steps: By which such a place differs from that of the next column, and row (3, 2).
+        camera: Of the image.
+
+    Returns:
+        Places (4, 4, K) as above, and to which of the 4 E corners each part belongs (K,).
+    """
+    cells, corners = [], []
+    for own in range(4):
+        some = np.flatnonzero(depth[own] > 0)
+        here, start, half = depth[own, some], place[:, own, some], []
+        for axis, bit in enumerate((1, 2)):
+            there = depth[own ^ bit, some]
+            level = np.append(steps[:, axis], 0)[:, None] * (-1 if own & bit else 1)
+            nearest = np.minimum(here, there)
+            smooth = (nearest > 0) & (np.abs(here - there) <= edge_step(nearest, camera))
+            half.append(np.where(smooth, place[:, own ^ bit, some] - start, level) / 2)
+        around = [start, start + half[0], start + half[1], start + half[0] + half[1]]
+        cells.append(np.stack([around[own ^ corner] for corner in range(4)], axis=1))
+        corners.append(own * depth.shape[1] + some)
+    return np.concatenate(cells, axis=2).astype(np.float32), np.concatenate(corners)
 
 
-def _under_the_table(pixels: Array, depth: Floats, camera: Camera, view: Camera) -> Array:
-    """Return which pixels show what the table hides from a view, such as the floor beside it."""
-    x, y, z = _placed(camera.pose, pixels, depth, camera)
-    eye = view.pose[:3, 3]
-    share = eye[2] / np.maximum(eye[2] - z, 1e-9)
-    over = np.maximum(np.abs(eye[0] + share * (x - eye[0])), np.abs(eye[1] + share * (y - eye[1])))
-    hidden: Array = (z < -_TABLE_ERROR) & (over <= _TABLE_HALF)
-    return hidden
+def _seen(place: Array, source: NDArray[np.intp], view: Camera) -> tuple[Array, NDArray[np.intp]]:
+    """Return what is seen in the middles of a view's pixels: the nearest cell.
+
+    Args:
+        place: Of cells' corners (4, 4, K); see `_parts`.
+        source: What the corners are (4, K).
+        view: To be drawn.
+
+    Returns:
+        Depth (H, W) [m], 0 in holes, and the source next to the middle (H, W), -1 in holes.
+    """
+    ahead = (place[2:] > 0).all(axis=(0, 1))
+    place, source = place[:, :, ahead], source[:, ahead]
+    flat = place[[0, 1, 3]] / place[2]
+    shape = view.height, view.width
+    low, high = (
+        np.clip(np.ceil(reduce(flat[:2], axis=1)), 0, [[shape[1]], [shape[0]]]).astype(np.intp)
+        for reduce in (np.min, np.max)
+    )
+    across, down = high - low
+    # Each cell once for each of the pixels that it may be seen in.
+    cell = np.repeat(np.arange(len(across)), across * down)
+    number = np.arange(len(cell)) - (np.cumsum(across * down) - across * down)[cell]
+    column, row = low[0, cell] + number % across[cell], low[1, cell] + number // across[cell]
+    u, v, inverse = flat[:, :, cell]
+    u, v = u - column, v - row
+    near = np.zeros(len(cell), np.float32)
+    for triangle in ((0, 1, 2), (3, 2, 1)):
+        # Those of its corners, by the areas of the triangles opposite.
+        shares = np.stack([
+            u[b] * v[c] - u[c] * v[b]
+            for b, c in zip(np.roll(triangle, -1), np.roll(triangle, -2), strict=True)
+        ])  # fmt: skip
+        inside = np.flatnonzero((shares >= 0).all(axis=0) & (shares.sum(axis=0) > 0))
+        shares, corners = shares[:, inside], inverse[:, inside][list(triangle)]
+        near[inside] = (shares * corners).sum(axis=0) / shares.sum(axis=0)
+    some = np.flatnonzero(near > _at_the_table(view)[row, column])
+    # Of all in a pixel the last stays.
+    some = some[np.argsort(near[some], kind="stable")]
+    depth, found = np.zeros(shape, np.float32), np.full(shape, -1, np.intp)
+    pixel = row[some], column[some]
+    depth[pixel] = 1 / near[some]
+    found[pixel] = source[np.hypot(u, v).argmin(axis=0), cell][some]
+    return depth, found
+
+
+def _at_the_table(view: Camera) -> Floats:
+    """Return one over the depth (H, W) beyond which the table hides all from a view, such as floor.
+
+    It is 0 beside the table.
+    """
+    eye, rays = view.pose[:3, 3], view.directions() @ view.pose[:3, :3].T
+    down = np.maximum(-rays[..., 2], 0)
+    beside = np.abs(eye[:2] * down[..., None] + eye[2] * rays[..., :2]).max(axis=-1)
+    return np.where(beside <= _TABLE_HALF * down, down / (eye[2] + _TABLE_ERROR), 0)
 
 
 def edge_step(depth: Floats, camera: Camera) -> Floats:
@@ -191,27 +249,6 @@ def edge_step(depth: Floats, camera: Camera) -> Floats:
     degrees.
     """
     return 0.005 + 2.0 * depth / camera.fx
-
-
-def _samples(onto: Floats, pixels: Array, around: Floats, camera: Camera, view: Camera) -> int:
-    """Return how many samples a pixel's side needs so that none of a view's pixels is passed over.
-
-    Args:
-        onto: From the camera's frame to that of the view.
-        pixels: Flat indices (K,) of pixels on smooth surfaces.
-        around: One over depth (4, K) of them, the next ones right and below, and a fourth.
-        camera: Of these.
-        view: Where they are to be seen.
-    """
-    some = slice(None, None, max(1, len(pixels) // 1000))
-    here, right, below = (
-        np.array(_projected(_placed(onto, pixels[some], 1 / one[some], camera, *at), view))
-        for one, at in zip(around, ((0, 0), (1, 0), (0, 1)), strict=False)
-    )
-    apart = np.hypot(*(np.stack([right, below], axis=1)[:2] - here[:2, None]))[:, here[2] > 0]
-    # Squares of this side lie over every pixel, however they are turned.
-    widest = float(np.quantile(apart, 0.99)) * np.sqrt(2) if apart.size else 1.0
-    return int(np.clip(np.ceil(widest), 1, _MOST_SAMPLES))
 
 
 def _shown(vector: Array) -> str:

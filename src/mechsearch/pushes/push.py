@@ -122,16 +122,10 @@ class Push:
 
     def path(self, centre: Floats) -> Floats:
         """Return its waypoints (N, 2) [m] about a target at `centre`."""
-        return self._laid(self.middle(centre), self.direction, self.mirrored)
-
-    def own_path(self) -> Floats:
-        """Return its waypoints (N, 2) [m] in its own axes, about the point that it passes."""
-        return self._laid(np.zeros(2), 0.0, False)
-
-    def _laid(self, middle: Floats, direction: float, mirrored: bool) -> Floats:
+        middle = self.middle(centre)
         if self.kind == "spiral":
-            return spiral(middle, direction, self.turns, mirrored)
-        return straight(middle, direction, self.before, self.after)
+            return spiral(middle, self.direction, self.turns, self.mirrored)
+        return straight(middle, self.direction, self.before, self.after)
 
 
 def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
@@ -140,14 +134,19 @@ def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
 
 
 def _draw(rng: np.random.Generator) -> Push:
-    direction, height = float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(-0.012, 0.035))
+    direction, height = _uniform(0, 2 * np.pi, rng), _uniform(-0.012, 0.035, rng)
     if rng.random() < _STRAIGHT_SHARE:
-        lateral, before = float(rng.normal(0, 0.025)), float(rng.uniform(0, 0.11))
-        after = float(rng.uniform(0.03, 0.15))
+        lateral, before = float(rng.normal(0, 0.025)), _uniform(0, 0.11, rng)
+        after = _uniform(0.03, 0.15, rng)
         return Push("straight", direction, lateral, before, after, height=height)
-    lateral, turns = float(rng.normal(0, 0.01)), float(rng.uniform(0.75, SPIRAL_TURNS))
+    lateral, turns = float(rng.normal(0, 0.01)), _uniform(0.75, SPIRAL_TURNS, rng)
     mirrored = bool(rng.random() < 0.5)
     return Push("spiral", direction, lateral, turns=turns, height=height, mirrored=mirrored)
+
+
+def _uniform(low: float, high: float, rng: np.random.Generator) -> float:
+    # To the bit `rng.uniform`, which takes five times as long for one number.
+    return low + (high - low) * rng.random()
 
 
 _BULK = 0.03
@@ -363,30 +362,58 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
     if centre is None:
         raise MechSearchError(_UNSEEN)
     frames = _Frames(pushes, centre)
-    paths = [push.path(centre) for push in pushes]
-    counts = np.array([len(path) for path in paths], np.intp)
+    counts, own, way = _paths(pushes, frames)
     heights = np.repeat([push.height for push in pushes], counts)
-    way = np.concatenate([np.zeros((0, 2)), *paths])
     plans = _Plans(waypoints_along(way, centre, heights, _SEEN), counts, sight)
     return PushViews(
-        _patches(pushes, frames, plans.starts[:, 2], sight),
+        _patches(frames, np.split(own, np.cumsum(counts)), plans.starts[:, 2], sight),
         _numbers(pushes, frames, plans, sight),
         (plans.approach + plans.length).astype(np.float32),
     )
 
 
 class _Frames:
-    """The axes, places and middles (n, 2) of n pushes, as `Push` has them of one."""
+    """The axes, places, middles (n, 2) and directions of n pushes, as `Push` has them of one.
+
+    The side (n,) of the second axis is 1 on the left, and -1 on the right.
+    """
 
     def __init__(self, pushes: Sequence[Push], centre: Floats) -> None:
-        directions = np.array([push.direction for push in pushes])
+        directions = self.directions = np.array([push.direction for push in pushes])
         lateral = np.array([push.lateral for push in pushes])
-        side = np.array([-1.0 if push.mirrored else 1.0 for push in pushes])
+        self.side = np.array([-1.0 if push.mirrored else 1.0 for push in pushes])
         self.along = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
         left = np.stack([-self.along[:, 1], self.along[:, 0]], axis=-1)
-        self.across = side[:, None] * left
+        self.across = self.side[:, None] * left
         self.places = centre[:2] + np.array([push.offset for push in pushes]).reshape(-1, 2)
         self.middles = self.places + lateral[:, None] * left
+
+
+def _paths(pushes: Sequence[Push], frames: _Frames) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Return each push's number of waypoints, and all of them (N, 2) in own axes and the world's.
+
+    They are those of `Push.path` to the bit.
+    """
+    spirals = np.array([push.kind == "spiral" for push in pushes], np.bool_)
+    turns, before, after = (
+        np.array([getattr(push, name) for push in pushes]) for name in ("turns", "before", "after")
+    )
+    points = np.maximum(np.rint(turns / SPIRAL_TURNS * SPIRAL_POINTS), 3)
+    counts = np.where(spirals, points, 2).astype(np.intp)
+    owner, ends = np.repeat(np.arange(len(pushes)), counts), np.cumsum(counts)
+    number = np.arange(len(owner)) - (ends - counts)[owner]
+    turned = number * (turns / (counts - 1))[owner]
+    turned[ends - 1] = turns
+    away = np.where(
+        spirals[owner],
+        INNER + (OUTER - INNER) / SPIRAL_TURNS * turned,
+        np.where(number == 0, -before[owner], after[owner]),
+    )[:, None]
+    angles = 2 * np.pi * turned
+    own = away * np.stack([np.cos(angles), np.sin(angles)], axis=-1) + 0.0
+    angles = frames.directions[owner] + frames.side[owner] * angles
+    way = away * np.stack([np.cos(angles), np.sin(angles)], axis=-1) + frames.middles[owner]
+    return counts, own, way
 
 
 _BLOCK = 8
@@ -394,13 +421,18 @@ _BLOCK = 8
 
 
 def _patches(
-    pushes: Sequence[Push], frames: _Frames, heights: Floats, sight: Sight
+    frames: _Frames, ways: Sequence[Floats], heights: Floats, sight: Sight
 ) -> NDArray[np.float16]:
     assert sight.centre is not None
-    patches = np.empty((len(pushes), *PATCH), np.float16)
+    patches = np.zeros((len(heights), *PATCH), np.float16)
     level = max(sight.centre[2], 0.02)
-    framed = np.pad([sight.heights, sight.target], ((0, 0), (1, 1), (1, 1)))
-    for first in range(0, len(pushes), _BLOCK):
+    heap, target = np.pad([sight.heights, sight.target], ((0, 0), (1, 1), (1, 1)))
+    # Between pixels of it, or beside one.
+    width = heap.shape[1]
+    about = np.flatnonzero(target)[:, None] - [0, 1, width, width + 1]
+    shows = np.zeros(target.size, np.bool_)
+    shows[about] = True
+    for first in range(0, len(heights), _BLOCK):
         some = slice(first, first + _BLOCK)
         x, y = (
             frames.middles[some, i, None, None]
@@ -409,20 +441,21 @@ def _patches(
             for i in range(2)
         )
         column, row = sight.camera.project_level(x, y, level)
-        height, target = _sample(framed, row, column)
+        place, shares = _between(heap.shape, row, column)
+        height = _sample(heap, place, shares)
         patches[some, 0] = 10 * height
         patches[some, 1] = 10 * (height - heights[some, None, None])
-        patches[some, 2] = target
-    patches[:, 3] = _path_images(pushes)
+        seen = shows.take(place).nonzero()
+        patches[some, 2][seen] = _sample(target, place[seen], [share[seen] for share in shares])
+        _draw_paths(ways[some], patches[some, 3])
     return patches
 
 
 _STEPS = (np.arange(PATCH[1]) - (PATCH[1] - 1) / 2) * CELL
 
 
-def _path_images(pushes: Sequence[Push]) -> Floats:
-    """Return paths in their pushes' own frames (n, 32, 32): 1 on them, falling to 0 beside them."""
-    ways = [push.own_path() for push in pushes]
+def _draw_paths(ways: Sequence[Floats], images: NDArray[np.float16]) -> None:
+    """Draw paths in their pushes' own frames (n, 32, 32): 1 on them, falling to 0 beside them."""
     points = np.concatenate([np.zeros((1, 2)), *ways])
     pushed = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
     inner = np.append(pushed[1:] == pushed[:-1], False)[: len(pushed)]
@@ -435,7 +468,7 @@ def _path_images(pushes: Sequence[Push]) -> Floats:
     both = near[:, 1, :, None] & near[:, 0, None, :]
     # Several times as fast as `nonzero`.
     leg, row, column = np.unravel_index(np.flatnonzero(both), both.shape)
-    (x, y), (dx, dy) = starts.T[:, leg], legs.T[:, leg]
+    x, y, dx, dy = (one.take(leg) for one in (*starts.T.copy(), *legs.T.copy()))
     u, v = _STEPS[column] - x, _STEPS[row] - y
     along = np.clip((u * dx + v * dy) / (dx * dx + dy * dy), 0, 1)
     u -= along * dx
@@ -443,31 +476,40 @@ def _path_images(pushes: Sequence[Push]) -> Floats:
     nearest = np.full(len(ways) * PATCH[1] * PATCH[2], _WIDTH**2)
     pixel = (owner[leg] * PATCH[1] + row) * PATCH[2] + column
     np.minimum.at(nearest, pixel, u * u + v * v)
-    images: Floats = np.maximum(1 - np.sqrt(nearest) / _WIDTH, 0)
-    return images.reshape(-1, *PATCH[1:])
+    drawn = np.flatnonzero(nearest < _WIDTH**2)
+    shade = np.maximum(1 - np.sqrt(nearest[drawn]) / _WIDTH, 0)
+    images[np.unravel_index(drawn, images.shape)] = shade
 
 
-def _sample(framed: Floats, rows: Floats, columns: Floats) -> list[Floats]:
-    """Return images between pixels, each at places (...,); 0 outside.
+def _between(
+    shape: tuple[int, ...], rows: Floats, columns: Floats
+) -> tuple[NDArray[np.intp], list[Floats]]:
+    """Return where places (...,) lie between an image's pixels; see `_sample`.
 
     Args:
-        framed: The images in a frame of zeros, one pixel wide (C, H + 2, W + 2).
-        rows: Of the places in the images [px].
+        shape: Of the image in a frame, one pixel wide (H + 2, W + 2).
+        rows: Of the places in the image [px].
         columns: Likewise.
+
+    Returns:
+        The flat index of the pixel above on the left, and the shares of up, down, left and right.
     """
-    height, width = framed.shape[1:]
+    height, width = shape
     rows = np.clip(rows + 1, 0, height - 1.001)
     columns = np.clip(columns + 1, 0, width - 1.001)
     row, column = rows.astype(np.intp), columns.astype(np.intp)
     down, right = rows - row, columns - column
     up, left = 1 - down, 1 - right
-    place = row * width + column
-    sampled = []
-    for flat in framed.reshape(len(framed), -1):
-        upper = flat.take(place) * left + flat[1:].take(place) * right
-        lower = flat[width:].take(place) * left + flat[width + 1 :].take(place) * right
-        sampled.append(upper * up + lower * down)
-    return sampled
+    return row * width + column, [up, down, left, right]
+
+
+def _sample(framed: Floats, place: NDArray[np.intp], shares: Sequence[Floats]) -> Floats:
+    """Return an image in a frame of zeros (H + 2, W + 2) between its pixels; see `_between`."""
+    up, down, left, right = shares
+    flat, width = framed.ravel(), framed.shape[1]
+    upper = flat.take(place) * left + flat[1:].take(place) * right
+    lower = flat[width:].take(place) * left + flat[width + 1 :].take(place) * right
+    return upper * up + lower * down
 
 
 def _numbers(
