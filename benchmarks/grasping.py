@@ -9,7 +9,7 @@ import torch
 from benchmarks import machine
 from benchmarks.results import Figure
 from benchmarks.settings import Settings
-from mechsearch.grasp.grasp_view import view_of_heap
+from mechsearch.grasp.grasp_scene import view_of_heap
 from mechsearch.grasp.graspability import rate
 from mechsearch.grasp.network import load_network
 from mechsearch.grasp.proposals import antipodal, uniform

@@ -109,7 +109,7 @@ def draw(folder, out):
             if room_of(other) != room_of(name):
                 arrows[room_of(name), room_of(other)] += 1
     places = {}
-    figure, ax = plt.subplots(figsize=(9, 12))
+    figure, ax = plt.subplots(figsize=(9, 14))
     layers = [row for row in rows() if row != ["__main__"]]
     for y, row in enumerate(reversed(layers)):
         for x, room in enumerate(row):

@@ -43,6 +43,22 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Floats:
     return rotations.reshape(*q.shape[:-1], 3, 3)
 
 
+def quaternion_from_rotation(rotation: Floats) -> Floats:
+    """Return the unit quaternion (4,), scalar first, of a rotation matrix (3, 3)."""
+    # Rows of 4 q q^T - I, from the entries of the matrix (Bar-Itzhack, 2000).
+    r = rotation
+    outer = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], 0, 0, 0],
+            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], 0, 0],
+            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0],
+            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    q: Floats = np.linalg.eigh(outer)[1][:, -1]
+    return q if q[0] >= 0 else -q
+
+
 def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:
     """Return the Hamilton products (..., 4) of quaternions: rotate by `right`, then by `left`."""
     a, b = np.broadcast_arrays(np.asarray(left, np.float64), np.asarray(right, np.float64))

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.grasp.grasp_view import ImageGrasp, angle_bin
 from mechsearch.grasp.learning.grasp_folder import OUTCOMES
 from mechsearch.grasp.learning.labelling import Grasps
 from mechsearch.grasp.learning.metrics import judge
@@ -15,6 +14,7 @@ from mechsearch.grasp.learning.training import (
     turned,
 )
 from mechsearch.grasp.network import load_network
+from mechsearch.grippers import ImageGrasp, angle_bin
 from mechsearch.types import MechSearchError, Outcome
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.grasp.depth_image import view_of_image
-from mechsearch.grasp.grasp_view import check_opening, metric_camera
+from mechsearch.grippers import check_opening, metric_camera
 from mechsearch.observe.observation import without_holes
 from mechsearch.types import MechSearchError
 

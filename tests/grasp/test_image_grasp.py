@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import ImageGrasp, alike, angle_bin, bin_angle
+from mechsearch.grippers import ImageGrasp, alike, angle_bin, bin_angle
 
 
 def test_bins_and_angles_invert_each_other_modulo_half_a_turn():

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.grasp.grasp_view import ImageGrasp, view_of_heap
+from mechsearch.grasp.grasp_scene import view_of_heap
 from mechsearch.grasp.learning.grasp_folder import MANIFEST_FILE, OUTCOMES, GraspFolder
 from mechsearch.grasp.learning.labelling import LabelConfig, label_grasps, load_grasps, thumbnail
+from mechsearch.grippers import ImageGrasp
 from mechsearch.heaps.dataset import HeapSet
 from mechsearch.heaps.generate import GenerateConfig, generate
 from mechsearch.types import MechSearchError, Outcome

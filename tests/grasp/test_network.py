@@ -7,7 +7,6 @@ import torch
 from PIL import Image
 
 from mechsearch.camera import Camera
-from mechsearch.grasp.grasp_view import GraspView
 from mechsearch.grasp.graspability import ceiling, rate
 from mechsearch.grasp.network import (
     SHIPPED_GRASP_NETWORK,
@@ -16,6 +15,7 @@ from mechsearch.grasp.network import (
     ready,
     save_network,
 )
+from mechsearch.grippers import GraspView
 from mechsearch.types import MechSearchError
 
 

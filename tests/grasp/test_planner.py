@@ -1,22 +1,30 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
-from mechsearch.grasp.grasp_view import grasp_renderer, height_map, see_heap, segment_view
+from mechsearch.grasp.grasp_scene import grasp_renderer, see_heap
 from mechsearch.grasp.network import ready
-from mechsearch.grasp.planner import GraspPlanner, RatedGrasps
-from mechsearch.grasp.proposals import propose_jaws, propose_suction
+from mechsearch.grasp.planner import GraspPlanner
 from mechsearch.grasp.quality_network import (
-    JAWS_GRID,
-    SUCTION_GRID,
     QualityNetwork,
-    aligned,
     load_quality_network,
     mirrored,
     save_quality_network,
 )
-from mechsearch.sim.gripper import gripper_named
+from mechsearch.grippers import (
+    JAWS_GRID,
+    SUCTION_GRID,
+    RatedGrasps,
+    aligned,
+    gripper_named,
+    height_map,
+    propose_jaws,
+    propose_suction,
+    segment_view,
+)
 from mechsearch.sim.lift import LiftWorld
 from mechsearch.types import MechSearchError, Outcome
 
@@ -75,6 +83,16 @@ def test_heights_are_those_of_the_objects_wherever_they_are_in_view(make_box):
     assert area == pytest.approx(0.06 * 0.05, rel=0.1)
     far = heights.cells(np.array([9.0, -9.0]), np.array([9.0, -9.0]))
     np.testing.assert_array_equal(heights.height.ravel()[far], 0.0)
+
+
+def test_a_hole_is_as_low_as_what_is_seen_around_it(make_box):
+    view = view_of([make_box("low", (0.06, 0.06, 0.03))], [at(0, 0, 0.015)])
+    whole, depth = height_map(view), view.depth.copy()
+    # In the middle of the object, below the camera itself, and on the table.
+    depth[250:260, 250:260] = depth[250:260, 330:340] = 0
+    mask = view.mask & (depth > 0)
+    np.testing.assert_array_equal(height_map(replace(view, depth=depth, mask=mask)).height,
+                                  whole.height)  # fmt: skip
 
 
 def test_the_aligned_patch_of_a_block_is_as_computed_by_hand(bar):

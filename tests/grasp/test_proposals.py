@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from mechsearch.grasp.grasp_view import angle_bin, depth_bins, view_of_heap
+from mechsearch.grasp.grasp_scene import view_of_heap
 from mechsearch.grasp.proposals import antipodal, uniform
-from mechsearch.sim.gripper import Gripper
+from mechsearch.grippers import Gripper, angle_bin, depth_bins
 from mechsearch.sim.lift import LiftWorld
 from mechsearch.types import Outcome
 

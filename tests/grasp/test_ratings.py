@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.grasp.grasp_view import GraspView, alike, cells, depth_bins
 from mechsearch.grasp.graspability import rate
+from mechsearch.grippers import GraspView, alike, cells, depth_bins
 
 
 def view(depth, camera, rows, columns):

@@ -2,7 +2,7 @@ import numpy as np
 from PIL import Image
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
+from mechsearch.grippers import GraspView, ImageGrasp
 from mechsearch.pictures.canvas import tiled
 from mechsearch.pictures.grasps import draw_grasps
 

@@ -12,6 +12,7 @@ from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.episodes import in_words
 from mechsearch.evaluation.rollout import run_episode
 from mechsearch.geometry import transform_from_pose
+from mechsearch.grippers import gripper_named
 from mechsearch.pictures.film import (
     OUT_OF_SIGHT,
     Film,
@@ -24,7 +25,6 @@ from mechsearch.pictures.film import (
 from mechsearch.pictures.replay import replayed
 from mechsearch.sim.arm import UR5E
 from mechsearch.sim.arm_gripper_world import ArmGripperWorld
-from mechsearch.sim.gripper import gripper_named
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 TASK = RetrieveConfig(keys=("ee_position",), grippers=("jaws-85", "suction"))

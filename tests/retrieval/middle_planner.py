@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from mechsearch.grasp.planner import RatedGrasps
-from mechsearch.sim.gripper import gripper_named
+from mechsearch.grippers import RatedGrasps, gripper_named
 
 
 class MiddlePlanner:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mechsearch.grasp.planner import RatedGrasps
+from mechsearch.grippers import RatedGrasps
 from mechsearch.retrieval import grasper as room
 from mechsearch.retrieval.grasper import Candidate, Grasper
 from mechsearch.types import MechSearchError

@@ -7,6 +7,7 @@ import torch
 from mechsearch.evaluation.episodes import CEILING_METRICS, HIGHER_IS_BETTER
 from mechsearch.grasp.network import ready
 from mechsearch.grasp.quality_network import QualityNetwork, save_quality_network
+from mechsearch.grippers import GRIPPERS
 from mechsearch.heaps.dataset import embedded_heaps
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.lifting import (
@@ -20,7 +21,6 @@ from mechsearch.retrieval.lifting import (
     lift_targets,
     reach_of,
 )
-from mechsearch.sim.gripper import GRIPPERS
 from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.types import MechSearchError, Outcome
 

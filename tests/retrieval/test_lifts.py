@@ -3,6 +3,7 @@ import pytest
 
 from mechsearch.geometry import yaw_quaternion
 from mechsearch.grasp.graspability import Graspability, on_table
+from mechsearch.grippers import Gripper
 from mechsearch.objects.catalog import load_object_set
 from mechsearch.pictures.grasps import lift_strip
 from mechsearch.retrieval.assessment import (
@@ -14,7 +15,6 @@ from mechsearch.retrieval.assessment import (
     lift_grasps,
     summarise,
 )
-from mechsearch.sim.gripper import Gripper
 from mechsearch.types import MechSearchError, Outcome
 
 

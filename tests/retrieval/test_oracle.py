@@ -9,7 +9,7 @@ from mechsearch.env.decision import Decision
 from mechsearch.env.retrieve_env import RetrieveEnv
 from mechsearch.env.task import RetrieveConfig
 from mechsearch.evaluation.rollout import Planner, evaluate, run_episode
-from mechsearch.grasp.planner import RatedGrasps
+from mechsearch.grippers import RatedGrasps
 from mechsearch.retrieval import grasper as room
 from mechsearch.retrieval.policies import OracleConfig, RetrieveOracle
 from mechsearch.types import GRASP, PUSH, REMOVE, MechSearchError

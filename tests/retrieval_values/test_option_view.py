@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mechsearch.camera import preset
-from mechsearch.grasp.grasp_view import HeightMap
+from mechsearch.grippers import HeightMap
 from mechsearch.pushes.push import Push, Sight
 from mechsearch.retrieval.grasper import Candidate
 from mechsearch.retrieval_values.view import (

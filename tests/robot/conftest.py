@@ -76,6 +76,19 @@ def exported_segmenter(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def exported_grasps(tmp_path_factory):
+    """The shipped networks of jaws and of a cup, by gripper."""
+    for module in ("torch", "onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(module)
+    from mechsearch.cli import main
+
+    place = tmp_path_factory.mktemp("grasps")
+    for gripper in ("jaws-85", "suction"):
+        main(["export", "grasps", gripper, "--out", str(place / gripper)])
+    return place
+
+
+@pytest.fixture(scope="session")
 def observations():
     """What is seen in some episodes."""
     import mechsearch

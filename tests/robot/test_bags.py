@@ -235,6 +235,40 @@ def test_a_bag_without_masks_is_played_with_a_segmenter(
     assert "no colour at" in capsys.readouterr().err
 
 
+def test_a_grasp_on_a_bag_is_told_drawn_and_written_apart_from_goals(
+    recorded, exported_pushes, exported_grasps, tmp_path, capsys
+):
+    bag, out = written(tmp_path / "bag", messages(recorded)), tmp_path / "out"
+    play(bag, exported_pushes, out, "--grasps", exported_grasps / "jaws-85", "--grasp-from", "0")
+    assert "grasp to (" in (said := capsys.readouterr().out)
+    assert "m, closing along" in said
+    with AnyReader([out / "commands"]) as reader:
+        rows = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages()]
+    assert {topic for topic, _, _ in rows} == {"/mechsearch/grasp", "/mechsearch/reason"}
+    pose = rows[0][2].pose
+    reason = json.loads(next(m.data for topic, _, m in rows if topic == "/mechsearch/reason"))
+    assert (reason["kind"], reason["gripper"], reason["opening"]) == ("grasp", "jaws-85", 0.085)
+    assert reason["expects"]["lifted"] == reason["confidence"] > 0
+    # Straight down on the target, turned about the vertical alone; the tips meet no table.
+    q = pose.orientation
+    np.testing.assert_allclose(reason["approach"], [0, 0, -1], atol=1e-9)
+    np.testing.assert_allclose([q.x, q.y, q.z**2 + q.w**2], [0, 0, 1], atol=1e-9)
+    tip = [pose.position.x, pose.position.y, pose.position.z]
+    np.testing.assert_allclose(reason["begin"], np.add(tip, [0, 0, 0.1]), atol=1e-9)
+    assert tip[2] > BASE_FROM_WORKSPACE[2, 3]
+    frame = recorded[0][0]
+    column, row, _ = frame.camera.project(tip)
+    near = np.argwhere(frame.mask) - [row, column]
+    assert np.linalg.norm(near, axis=1).min() < 3
+    # The picture has the jaws in blue on both sides of the tip, 85 mm apart.
+    picture = np.array(Image.open(out / "0001.png"))
+    closing = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()[:, 0]
+    for side in (-1, 1):
+        u, v, _ = frame.camera.project(tip + side * 0.0425 * closing)
+        around = picture[round(v) - 1 : round(v) + 2, round(u) - 1 : round(u) + 2]
+        assert (around == [60, 160, 255]).all(axis=2).any()
+
+
 def test_a_bad_bag_leaves_nothing_behind(recorded, exported_pushes, tmp_path, capsys):
     bag = written(tmp_path / "bag", messages(recorded), leave_out=(TOPICS.depth,))
     with pytest.raises(SystemExit):

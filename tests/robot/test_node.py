@@ -26,6 +26,7 @@ from mechsearch.robot.segmenter import open_segmenter
 from tests.robot.processes import SLACK, publish_frame
 from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, SEEN_HEAP, SimulatedRobot
 from tests.robot.test_limits import Onwards
+from tests.robot.test_robot_grasper import ASKED, controller_of
 
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/>"
@@ -92,6 +93,49 @@ def test_killing_the_robot_stops_the_controller(both):
     robot.kill()
     stopped = controller.until(lambda told: told["kind"] != "move")
     assert (stopped["kind"], "measured" in stopped["reason"]) == ("stop", True)
+
+
+class Memory:
+    """A bus without a wire."""
+
+    def __init__(self):
+        self.kept = {}
+
+    def publish(self, topic, kind, **fields):
+        made = message_type(kind)
+        self.kept[topic] = made.deserialize(made(**fields).serialize())
+
+    def newest(self, topic, kind):
+        return self.kept.get(topic)
+
+
+def test_a_grasp_goes_by_a_message_of_its_own_and_is_made_by_the_guard():
+    controller, bus = controller_of(ASKED), Memory()
+    robot = SimulatedRobot(SEEN_HEAP)
+    driver, node = RobotNode(robot.guard, bus, Topics()), ControllerNode(
+        controller, robot.camera.pose, bus, Topics()
+    )  # fmt: skip
+    # Raised already, and turned.
+    tool = replace(robot.tool(), position=np.array([0.45, 0.1, 0.2]), ready=True)
+    driver.step(tool, 0.0)
+    publish_frame(bus, Topics(), robot.frame(), 0.0)
+    assert node.step(0.0).kind == "grasp"
+    assert set(bus.kept) >= {"/mechsearch/grasp", "/mechsearch/reason"}
+    assert "/mechsearch/command" not in bus.kept
+    for tick in range(1, 200):
+        now = tick / 200
+        tool = replace(tool, position=driver.step(replace(tool, time=now), now), time=now)
+        if tick % 10 == 0:
+            node.step(now)
+            publish_frame(bus, Topics(), robot.frame(), now)
+    np.testing.assert_allclose(tool.position, ASKED.position, atol=0.006)
+    np.testing.assert_array_equal(driver.grasp.quaternion, ASKED.quaternion)
+    # What comes later takes its place.
+    bus.publish("/mechsearch/stop", "std_msgs/msg/Bool", data=True)
+    node.step(1.0)
+    assert "/mechsearch/command" in bus.kept
+    driver.step(replace(tool, time=1.0), 1.0)
+    assert driver.grasp is None
 
 
 def test_messages_are_ros_2s_to_the_byte():

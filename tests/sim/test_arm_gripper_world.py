@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
+from mechsearch.grippers import GRIPPERS
 from mechsearch.sim.arm import ARMS, OUT_OF_REACH, UR5E
 from mechsearch.sim.arm_gripper_world import ArmGripperWorld
-from mechsearch.sim.gripper import GRIPPERS, HAND_LENGTH
+from mechsearch.sim.gripper import HAND_LENGTH
 from mechsearch.sim.lift import LiftFrame
 from mechsearch.sim.motion import kinematics_of
 from mechsearch.types import MechSearchError, Outcome

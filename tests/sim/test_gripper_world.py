@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import yaw_quaternion
+from mechsearch.grippers import GRIPPERS, Gripper, SuctionCup, gripper_named
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import GRIPPERS, Gripper, SuctionCup, gripper_named
 from mechsearch.sim.gripper_world import GripperWorld
 from mechsearch.sim.lift import LiftFrame
 from mechsearch.sim.suction import holds, seal_of

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
-from mechsearch.sim.gripper import Gripper
+from mechsearch.grippers import Gripper
 from mechsearch.sim.lift import (
     LiftConfig,
     LiftFrame,

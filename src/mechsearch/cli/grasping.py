@@ -30,8 +30,9 @@ from mechsearch.evaluation.episodes import (
 from mechsearch.files import write_json
 from mechsearch.findings.bootstrap import estimated
 from mechsearch.grasp.depth_image import read_view
-from mechsearch.grasp.grasp_view import check_opening, view_of_heap
+from mechsearch.grasp.grasp_scene import view_of_heap
 from mechsearch.grasp.graspability import rate
+from mechsearch.grippers import check_opening, gripper_named
 from mechsearch.heaps.dataset import Heap, HeapSet, open_heaps
 from mechsearch.pictures.canvas import tiled
 from mechsearch.pictures.grasps import draw_grasps, lift_strip
@@ -56,7 +57,6 @@ from mechsearch.retrieval.lifting import (
     lift_targets,
     reach_of,
 )
-from mechsearch.sim import gripper_named
 from mechsearch.types import MechSearchError, Outcome
 
 

@@ -11,7 +11,8 @@ import tyro
 
 from mechsearch.cli.command import FLAT, Command, bars, say, wrote
 from mechsearch.robot import bags
-from mechsearch.robot.controller import Controller
+from mechsearch.robot.controller import GRASP_FROM, Controller
+from mechsearch.robot.grasper import open_grasper
 from mechsearch.robot.limits import Limits, Motion
 from mechsearch.robot.policy import open_policy
 from mechsearch.robot.segmenter import open_segmenter
@@ -32,6 +33,9 @@ class PlayBag(Command):
             vertical axis how it is turned [m, m, m, degrees].
         low: Lowest corner of the box that the tool stays in, in the base frame [m].
         high: Highest corner [m].
+        grasps: What `mechsearch export grasps` wrote: where a grasp is good enough, it takes the
+            place of the push.
+        grasp_from: Quality from which on a grasp is good enough, in [0, 1].
         speed: Of the tip [m/s].
         reach: How far the tip gets from the base's origin [m].
         seed: Of the policy's candidates.
@@ -47,6 +51,8 @@ class PlayBag(Command):
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     segmenter: Path | None = None
+    grasps: Path | None = None
+    grasp_from: float = GRASP_FROM
     speed: float = Limits.speed
     reach: float = Limits.reach
     seed: int = 0
@@ -63,7 +69,10 @@ class PlayBag(Command):
         limits = Limits(self.low, self.high, self.speed, reach=self.reach, dry_run=True)
         rng = np.random.default_rng(self.seed)
         segmenter = None if self.segmenter is None else open_segmenter(self.segmenter)
-        controller = Controller(open_policy(self.policy), pose, limits, rng, segmenter)
+        grasper = None if self.grasps is None else open_grasper(self.grasps)
+        controller = Controller(
+            open_policy(self.policy), pose, limits, rng, segmenter, grasper, self.grasp_from
+        )
         self.out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{self.out.name}.", dir=self.out.parent) as partial:
             self._play(controller, Path(partial, self.out.name))
@@ -92,4 +101,8 @@ class PlayBag(Command):
 def _told(motion: Motion) -> str:
     goal = ", ".join(f"{number:.3f}" for number in motion.goal)
     sure = "" if motion.confidence is None else f", confidence {motion.confidence:.2f}"
+    if (grasp := motion.grasp) is not None:
+        turn = np.rad2deg(np.arctan2(*grasp.axes[1::-1, 0]))
+        goal += f") m, closing along {turn:.0f} degrees, from ("
+        goal += ", ".join(f"{number:.3f}" for number in grasp.begin)
     return f"{motion.time:.3f} s  {motion.kind} to ({goal}) m{sure}: {motion.reason}"

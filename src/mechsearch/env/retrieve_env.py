@@ -11,19 +11,19 @@ from mechsearch.env.decision import Decision, DecisionSpace, reachable
 from mechsearch.env.scene import HeapScene, SceneEnv, choose_heaps, displacement
 from mechsearch.env.task import RetrieveConfig, with_settings
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import grasp_camera, numbered
+from mechsearch.grasp.grasp_scene import numbered
+from mechsearch.grippers import Gripper, grasp_camera, gripper_named
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import KEYS, KINDS, without_holes
 from mechsearch.sim import (
     FREE,
     ArmGripperWorld,
-    Gripper,
     GripperWorld,
     LiftFrame,
     Perturbation,
     arm_named,
-    gripper_named,
+    closed_gripper_model,
     perturbed,
 )
 from mechsearch.types import (
@@ -103,7 +103,7 @@ class RetrieveEnv(SceneEnv[GripperWorld | ArmGripperWorld]):
         self._grippers = [gripper_named(name) for name in self.config.grippers]
         self._scene = HeapScene(
             heaps, objects, self.config, [key for key in keys if key not in own], self._world_of,
-            self._grippers[0].closed_model(), robot_in_view=False,
+            closed_gripper_model(self._grippers[0]), robot_in_view=False,
         )  # fmt: skip
         self.heaps, self.objects = self._scene.heaps, objects
         self.observation_space = gymnasium.spaces.Dict(self._spaces())

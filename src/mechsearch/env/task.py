@@ -10,6 +10,7 @@ from typing import Any, Self, TypeVar
 from mechsearch.camera import Camera, mounted, preset
 from mechsearch.env.reward import RewardConfig
 from mechsearch.files import check_kinds, record_from_json
+from mechsearch.grippers import GRIPPERS, Gripper, gripper_named
 from mechsearch.observe.sensor import Sensor, SensorMixture, sensor_named
 from mechsearch.segmentation.segmenter import (
     NEVER,
@@ -22,13 +23,10 @@ from mechsearch.segmentation.segmenter import (
 from mechsearch.sim import (
     ENGINES,
     FREE,
-    GRIPPERS,
-    Gripper,
     PhysicsConfig,
     Pusher,
     Workspace,
     arm_named,
-    gripper_named,
 )
 from mechsearch.types import ACTOR_KEYS, PRIVILEGED_KEYS, RETRIEVAL_KEYS, MechSearchError, shown
 

@@ -9,8 +9,8 @@ from scipy.ndimage import distance_transform_edt
 
 from mechsearch.camera import Camera
 from mechsearch.grasp.camera_files import camera_of, read_camera
-from mechsearch.grasp.grasp_view import NETWORK_OPENING, GraspView, surroundings
 from mechsearch.grasp.image_files import Stored, depth_in_metres, read_stored, target_pixels
+from mechsearch.grippers import NETWORK_OPENING, GraspView, surroundings
 from mechsearch.observe.observation import without_holes
 from mechsearch.types import Array, MechSearchError
 

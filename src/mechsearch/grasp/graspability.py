@@ -8,7 +8,9 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.grasp.grasp_view import (
+from mechsearch.grasp.grasp_scene import view_of_heap
+from mechsearch.grasp.network import GraspNetwork
+from mechsearch.grippers import (
     ANGLES,
     DEPTHS,
     STRIDE,
@@ -17,9 +19,7 @@ from mechsearch.grasp.grasp_view import (
     alike,
     bin_angle,
     cells,
-    view_of_heap,
 )
-from mechsearch.grasp.network import GraspNetwork
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim import Workspace
 from mechsearch.types import Array, Floats, MechSearchError

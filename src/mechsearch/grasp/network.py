@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from mechsearch.files import read_arrays
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
-from mechsearch.grasp.grasp_view import ANGLES
+from mechsearch.grippers import ANGLES
 from mechsearch.types import Array, MechSearchError
 
 Network = TypeVar("Network", bound=nn.Module)

@@ -1,7 +1,7 @@
 """How likely a grasp succeeds, seen in the gripper's own frame: a patch of the height map."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,88 +9,16 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mechsearch.files.tensors import Archive, fill, load_archive, save_archive
-from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import HeightMap
 from mechsearch.grasp.network import ready
-from mechsearch.sim import Gripper, SuctionCup, gripper_named
+from mechsearch.grippers import (
+    GRASP_NUMBERS,
+    GRIPPERS,
+    Aligned,
+    PatchGrid,
+    grid_of,
+    gripper_named,
+)
 from mechsearch.types import Array, Floats, MechSearchError
-
-GRASP_NUMBERS = 6
-"""How many numbers a grasp has beside its patch."""
-
-
-@dataclass(frozen=True)
-class PatchGrid:
-    """The cells of a patch, about the grasp centre.
-
-    Attributes:
-        rows: Cells along the gripper's y axis.
-        columns: Cells along its x axis, the closing direction.
-        cell: Side of a cell [m].
-    """
-
-    rows: int
-    columns: int
-    cell: float
-
-    @property
-    def square(self) -> bool:
-        """Whether both sides are alike."""
-        return self.rows == self.columns
-
-
-JAWS_GRID, SUCTION_GRID = PatchGrid(32, 64, 0.002), PatchGrid(32, 32, 0.002)
-
-
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """What is seen of grasps (K,), each in its gripper's own frame.
-
-    Attributes:
-        relative: How far what is seen rises over the plane of the gripper's x and y axes (K, R, C)
-            float32 [m].
-        target: Whether it is the target (K, R, C).
-        numbers: (K, 6) float32: height of the grasp centre over the table [m]; x and y of the
-            vertical in the gripper's frame; x and y of the middle of the target's visible part
-            [m]; square root of that part's area [m].
-    """
-
-    relative: NDArray[np.float32]
-    target: NDArray[np.bool_]
-    numbers: NDArray[np.float32]
-
-
-def grid_of(gripper: Gripper | SuctionCup) -> PatchGrid:
-    """Return the cells of a gripper's patches."""
-    return JAWS_GRID if isinstance(gripper, Gripper) else SUCTION_GRID
-
-
-def aligned(heights: HeightMap, poses: Floats, grid: PatchGrid) -> Aligned:
-    """Return what is seen of grasps (K, 7) in a height map."""
-    rotation = rotation_from_quaternion(poses[:, 3:])
-    axes, centre = rotation.astype(np.float32), poses[:, :3].astype(np.float32)
-    v, u = (
-        ((np.arange(count) - (count - 1) / 2) * grid.cell).astype(np.float32)
-        for count in (grid.rows, grid.columns)
-    )
-    x, y, z = (
-        centre[:, i, None, None]
-        + axes[:, i, 0, None, None] * u
-        + axes[:, i, 1, None, None] * v[:, None]
-        for i in range(3)
-    )
-    cells = heights.cells(x, y)
-    relative = (heights.height.ravel()[cells] - z) * axes[:, 2, 2, None, None]
-    own = heights.place(np.flatnonzero(heights.target))
-    middle = np.array([*own.mean(axis=0), 0.0]) - poses[:, :3]
-    middle[:, 2] = 0.0
-    offset = (middle[:, :, None] * rotation).sum(axis=1)
-    numbers = np.column_stack([
-        poses[:, 2], rotation[:, 2, :2], offset[:, :2],
-        np.full(len(poses), heights.cell * np.sqrt(len(own))),
-    ])  # fmt: skip
-    return Aligned(relative, heights.target.ravel()[cells], numbers.astype(np.float32))
-
 
 _KIND = "mechsearch grasp quality network"
 
@@ -151,6 +79,44 @@ class QualityNetwork(nn.Module):
         arrays = (seen.relative, seen.target, seen.numbers)
         logits = self(*(torch.from_numpy(np.ascontiguousarray(a)) for a in arrays))
         return np.asarray(torch.sigmoid(logits).double().numpy())
+
+
+class _Quality(nn.Module):
+    """What a network says, as a chance."""
+
+    def __init__(self, network: QualityNetwork) -> None:
+        """Take the network."""
+        super().__init__()
+        self.network = network
+
+    def forward(self, relative: Tensor, target: Tensor, numbers: Tensor) -> Tensor:
+        """Return the chance of success (K,); see `Aligned` for what is given."""
+        return torch.sigmoid(self.network(relative, target, numbers))
+
+
+def quality_to_export(spec: str) -> tuple[str, nn.Module, tuple[Tensor, ...], dict[str, Any]]:
+    """Return what `training.export` writes: whose grasps it rates, the network, inputs, its facts.
+
+    Args:
+        spec: A gripper, whose shipped network it is, or a network's file.
+
+    Raises:
+        MechSearchError: If there is neither, or the file is damaged or of another version.
+    """
+    shipped = spec in GRIPPERS
+    path = quality_file(spec) if shipped else Path(spec)
+    if not shipped and not path.is_file():
+        raise MechSearchError(
+            f"no gripper {spec!r}, and no network's file there; choose one of "
+            f"{', '.join(GRIPPERS)}, or a file that `mechsearch grasp train --gripper` wrote"
+        )
+    meta = load_archive(path, _KIND).meta
+    gripper = str(meta["gripper"])
+    network = load_quality_network(gripper, path)
+    rows, columns = network.grid.rows, network.grid.columns
+    patches = torch.zeros(2, rows, columns)
+    inputs = (patches, patches.bool(), torch.zeros(2, GRASP_NUMBERS))
+    return gripper, _Quality(network), inputs, dict(meta)
 
 
 def quality_file(gripper: str) -> Path:

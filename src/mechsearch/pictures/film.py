@@ -19,16 +19,16 @@ from PIL import Image, ImageDraw
 from mechsearch.camera import Camera, look_at, preset
 from mechsearch.evaluation.episodes import IN_HAND, EpisodeRecord
 from mechsearch.files import check_place, write_whole
+from mechsearch.grippers import AnyGripper, Gripper, gripper_named
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures.canvas import SMOOTHING, captioned, check_side, photographed, shrunk, tiled
 from mechsearch.render.renderer import Renderer
 from mechsearch.sim import (
     FREE,
-    AnyGripper,
-    Gripper,
     Pusher,
     arm_named,
-    gripper_named,
+    closed_gripper_model,
+    gripper_models,
     links_of,
     open_parts,
     pusher_model,
@@ -113,7 +113,9 @@ class Hands:
     @property
     def models(self) -> list[ObjectModel]:
         """What is rendered of all of them."""
-        return [model for gripper in self.grippers for model in gripper.models()] + self._links
+        return [
+            model for gripper in self.grippers for model in gripper_models(gripper)
+        ] + self._links
 
     def parts(self, number: int, poses: Floats) -> Floats:
         """Return the poses of all parts, those of one gripper given, the others out of sight."""
@@ -334,7 +336,7 @@ def film_of(
     if record.retrieval is None:
         return Film(record, models, config, pusher_model(Pusher()) if robot else None)
     hands = Hands(header)
-    pusher = hands.grippers[0].closed_model() if robot else None
+    pusher = closed_gripper_model(hands.grippers[0]) if robot else None
     played = play(header, record, models)
     return Film(record, models, config, pusher, played, hands.models, hands.have_arm)
 

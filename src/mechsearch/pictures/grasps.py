@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.grasp.grasp_view import GraspView, ImageGrasp
+from mechsearch.grippers import AnyGripper, GraspView, ImageGrasp
 from mechsearch.objects.model import ObjectModel
 from mechsearch.pictures import canvas
 from mechsearch.render.renderer import Renderer
-from mechsearch.sim import AnyGripper, LiftFrame
+from mechsearch.sim import LiftFrame, gripper_models
 from mechsearch.types import Floats, MechSearchError
 
 _LOW, _HIGH = np.array([214.0, 60.0, 45.0]), np.array([28.0, 98.0, 235.0])
@@ -108,7 +108,7 @@ def lift_strip(
     centre = (pixels - 1) / 2
     pose, focal = look_at(eye, middle, (0, 0, 1)), 1.45 * pixels
     camera = Camera(pixels, pixels, focal, focal, centre, centre, pose)
-    renderer = Renderer([*models, *gripper.models()])
+    renderer = Renderer([*models, *gripper_models(gripper)])
     tiles = []
     for frame in (frames[i] for i in _spread(frames, count)):
         poses = np.concatenate([frame.poses, frame.gripper])

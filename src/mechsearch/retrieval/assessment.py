@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from mechsearch.evaluation.episodes import EpisodeRecord, Evaluation, GraspRecord
-from mechsearch.grasp.grasp_view import check_opening
 from mechsearch.grasp.graspability import (
     Graspability,
     ceiling,
@@ -23,12 +22,12 @@ from mechsearch.grasp.graspability import (
     rate_target,
 )
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network
+from mechsearch.grippers import Gripper, check_opening
 from mechsearch.heaps.dataset import Heap, object_set, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.sim import (
     AWAKE,
-    Gripper,
     LiftFrame,
     LiftWorld,
     Perturbation,

@@ -8,8 +8,8 @@ from scipy.ndimage import binary_dilation
 
 from mechsearch.env import reachable
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.grasp.grasp_view import GraspView, segment_view, surroundings
-from mechsearch.grasp.planner import PROPOSALS, GraspPlanner
+from mechsearch.grasp.planner import GraspPlanner
+from mechsearch.grippers import PROPOSALS, GraspView, segment_view, surroundings
 from mechsearch.types import GRASP, Array, Floats, MechSearchError, Observation, Weighed
 
 TARGET = 1

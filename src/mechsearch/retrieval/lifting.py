@@ -20,20 +20,22 @@ from mechsearch.evaluation.episodes import (
     SummaryRow,
     share_interval,
 )
-from mechsearch.grasp.grasp_view import (
+from mechsearch.grasp.grasp_scene import grasp_renderer, see_heap
+from mechsearch.grasp.learning.states import STATE_KINDS, states_of
+from mechsearch.grasp.planner import GraspPlanner
+from mechsearch.grippers import (
+    LEAST_VISIBLE,
     GraspView,
-    grasp_renderer,
+    gripper_named,
     height_map,
-    see_heap,
+    propose,
     segment_view,
 )
-from mechsearch.grasp.learning.states import STATE_KINDS, states_of
-from mechsearch.grasp.planner import LEAST_VISIBLE, GraspPlanner, propose
 from mechsearch.heaps.dataset import Heap, object_set
 from mechsearch.objects.model import ObjectModel
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.retrieval.assessment import LiftResult
-from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, gripper_named, perturbed
+from mechsearch.sim import GripperWorld, LiftFrame, Perturbation, perturbed
 from mechsearch.types import Array, Floats, MechSearchError, Outcome
 
 LIFT_STATES = ("dropped", "pushed", "alone")

@@ -22,8 +22,7 @@ from mechsearch.env import (
     roll_out,
 )
 from mechsearch.evaluation.policies import RETRIEVE, policy_named
-from mechsearch.grasp.grasp_view import GraspView
-from mechsearch.grasp.planner import RatedGrasps
+from mechsearch.grippers import GraspView, RatedGrasps
 from mechsearch.pushes.push import PlannedPush, draw_pushes, look
 from mechsearch.retrieval.grasper import Candidate, Grasper, occluders, weighed_grasps
 from mechsearch.types import (

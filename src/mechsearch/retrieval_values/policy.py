@@ -12,7 +12,7 @@ from mechsearch.algorithm import at_least
 from mechsearch.camera import preset
 from mechsearch.env import Decision, TaskConfig
 from mechsearch.evaluation.policies import RETRIEVE
-from mechsearch.grasp.grasp_view import GraspView, height_map, surroundings
+from mechsearch.grippers import GraspView, height_map, surroundings
 from mechsearch.pushes.push import PlannedPush, Sight, draw_pushes, look
 from mechsearch.retrieval.grasper import TARGET, Candidate, Grasper, occluders, weighed_grasps
 from mechsearch.retrieval_values.value import RetrievalValue

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.grasp.grasp_view import HeightMap
+from mechsearch.grippers import HeightMap
 from mechsearch.pushes.push import PlannedPush, Push, Sight
 from mechsearch.retrieval.grasper import Candidate
 from mechsearch.types import Array, Floats

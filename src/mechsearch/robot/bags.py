@@ -15,7 +15,7 @@ from mechsearch.camera import Camera
 from mechsearch.geometry import invert, transform_from_pose
 from mechsearch.robot.calibration import BoardView, CameraCalibration, read_calibration
 from mechsearch.robot.controller import CameraFrame
-from mechsearch.robot.limits import MOVE, Motion, Tool
+from mechsearch.robot.limits import GRASPING, MOVE, Motion, PlannedGrasp, Tool
 from mechsearch.types import Array, Floats, MechSearchError, check_extra, shown
 
 _APART = 0.2
@@ -55,6 +55,9 @@ class Topics:
 
 COMMANDS_TOPIC, REASONS_TOPIC = "/mechsearch/command", "/mechsearch/reason"
 """Goals (geometry_msgs/PoseStamped, base frame), and why, as JSON (std_msgs/String)."""
+
+GRASPS_TOPIC = "/mechsearch/grasp"
+"""Poses of the tool's tip and axes when it closes (likewise), which no straight motion leads to."""
 
 _TYPES = {
     "depth": "sensor_msgs/msg/Image", "camera_info": "sensor_msgs/msg/CameraInfo",
@@ -187,32 +190,48 @@ def write_commands(path: Path, motions: Sequence[Motion], base: str, mcap: bool)
     plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         goal_type, reason_type = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
-        goals = writer.add_connection(COMMANDS_TOPIC, goal_type, typestore=store)
+        goals = {
+            topic: writer.add_connection(topic, goal_type, typestore=store)
+            for topic in dict.fromkeys(map(topic_of, motions))
+        }
         reasons = writer.add_connection(REASONS_TOPIC, reason_type, typestore=store)
         for motion in motions:
             nanoseconds = round(motion.time * 1e9)
             time = types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, 10**9))
+            w, *turn = (1.0, 0.0, 0.0, 0.0) if motion.grasp is None else motion.grasp.quaternion
             goal = types[goal_type](
                 types["std_msgs/msg/Header"](time, base),
                 types["geometry_msgs/msg/Pose"](
                     types["geometry_msgs/msg/Point"](*map(float, motion.goal)),
-                    types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+                    types["geometry_msgs/msg/Quaternion"](*map(float, (*turn, w))),
                 ),
             )
             reason = types[reason_type](told(motion))
-            writer.write(goals, nanoseconds, store.serialize_cdr(goal, goal_type))
+            writer.write(goals[topic_of(motion)], nanoseconds, store.serialize_cdr(goal, goal_type))
             writer.write(reasons, nanoseconds, store.serialize_cdr(reason, reason_type))
+
+
+def topic_of(motion: Motion) -> str:
+    """Return where a motion is told: a grasp apart from goals, which the tip goes straight to."""
+    return COMMANDS_TOPIC if motion.grasp is None else GRASPS_TOPIC
 
 
 def told(motion: Motion) -> str:
     """Return why a motion was chosen, as JSON."""
     expects = None if motion.expects is None else asdict(motion.expects)
     said = {"kind": motion.kind, "speed": motion.speed, "reason": motion.reason}
-    return json.dumps(said | {"confidence": motion.confidence, "expects": expects})
+    said |= {"confidence": motion.confidence, "expects": expects}
+    if (grasp := motion.grasp) is not None:
+        said |= {"gripper": grasp.gripper, "opening": grasp.opening}
+        said |= {"approach": grasp.approach.tolist(), "begin": grasp.begin.tolist()}
+    return json.dumps(said)
 
 
 def draw(frame: CameraFrame, tool: Tool, motion: Motion) -> Image.Image:
-    """Return an image with the target's outline, the tool's tip, and where a motion takes it."""
+    """Return an image with the target's outline, the tool's tip, and where a motion takes it.
+
+    Of a grasp it is the fingertips, open, what they close along, and the way down to it.
+    """
     if frame.colour is not None:
         picture = Image.fromarray(np.ascontiguousarray(frame.colour))
     else:
@@ -229,14 +248,32 @@ def draw(frame: CameraFrame, tool: Tool, motion: Motion) -> Image.Image:
         pixels[inside & ~inner] = (230, 40, 40)
         picture = Image.fromarray(pixels)
     pen = ImageDraw.Draw(picture)
-    tip, goal = (tuple(frame.camera.project(p)[:2].tolist()) for p in (tool.position, motion.goal))
-    colour = (40, 200, 80) if motion.kind == MOVE else (255, 170, 0)
-    pen.line([tip, goal], fill=colour, width=2)
+    lines = [] if motion.grasp is None else list(_jaws(motion.grasp))
+    start = tool.position if motion.grasp is None else motion.grasp.begin
+    ends = frame.camera.project([tool.position, start, motion.goal])[:, :2].tolist()
+    tip, begin, goal = map(tuple, ends)
+    colour = (40, 200, 80) if motion.kind in (MOVE, GRASPING) else (255, 170, 0)
+    pen.line([begin, goal], fill=colour, width=2)
     pen.ellipse([tip[0] - 3, tip[1] - 3, tip[0] + 3, tip[1] + 3], outline=colour)
     pen.ellipse([goal[0] - 3, goal[1] - 3, goal[0] + 3, goal[1] + 3], fill=colour)
+    for line in lines:
+        pen.line(frame.camera.project(line)[:, :2].ravel().tolist(), (60, 160, 255), 2)
     text = motion.reason if motion.kind == MOVE else f"{motion.kind}: {motion.reason}"
     pen.text((4, 4), text, fill=(255, 255, 255), stroke_width=1, stroke_fill=(0, 0, 0))
     return picture
+
+
+_FINGER = 0.02
+"""Width of a finger as it is drawn, and of a cup [m]."""
+
+
+def _jaws(grasp: PlannedGrasp) -> Floats:
+    """Return lines (3, 2, 3) [m]: between open fingertips, and each of these; of a cup a cross."""
+    x, y = grasp.axes[:, 0], _FINGER / 2 * grasp.axes[:, 1]
+    half = grasp.opening / 2 * x
+    across = np.stack([-y, y])
+    along = np.stack([-half, half]) if grasp.opening else _FINGER / 2 * np.stack([-x, x])
+    return np.asarray(grasp.position + np.stack([along, across - half, across + half]))
 
 
 def is_mcap(path: Path) -> bool:

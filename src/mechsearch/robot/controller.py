@@ -1,5 +1,6 @@
-"""From a robot's images to its next motion, and the refusals on the way."""
+"""From a robot's images to its next motion or grasp, and the refusals on the way."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -10,13 +11,26 @@ from mechsearch.camera import Camera
 from mechsearch.geometry import apply, cap_length, invert
 from mechsearch.observe.observation import position_image, without_holes
 from mechsearch.observe.reprojection import Reprojection, reproject
-from mechsearch.robot.limits import MOVE, RETREAT, STOP, Limits, Motion, Tool
+from mechsearch.robot.grasper import ExportedGrasper, GraspExpectation
+from mechsearch.robot.limits import (
+    GRASPING,
+    MOVE,
+    RETREAT,
+    STOP,
+    Limits,
+    Motion,
+    PlannedGrasp,
+    Tool,
+)
 from mechsearch.robot.policy import Chooser
 from mechsearch.robot.segmenter import ExportedSegmenter
 from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
 
 _REACHED = 0.004
 """Distance from its goal at which a motion is over [m]."""
+
+_TURNING = 5.0
+"""Time that a tool may take to turn and to open for a grasp [s]."""
 
 _BLACK = 4
 """Mean of a colour image up to which it is black."""
@@ -42,6 +56,10 @@ class CameraFrame:
     colour: Array | None = None
 
 
+GRASP_FROM = 0.9
+"""Quality from which on a grasp is made, unless another is asked for."""
+
+
 class _RefusalError(Exception):
     """Why nothing may move, and whether to retreat."""
 
@@ -49,10 +67,14 @@ class _RefusalError(Exception):
 class Controller:
     """Asks a policy for motions, one after the other, and refuses what its limits forbid.
 
+    With a grasper it grasps as soon as a grasp is rated high enough, in place of the next action.
+    That grasp then stays what it asks for until it is reset.
+
     After a refusal it retreats, or stops, until it is reset. It holds no more than the limits that
     images need; the robot's driver has a `Guard`, which does not depend on it.
 
     Attributes:
+        grasp_from: Quality from which on a grasp is made, in [0, 1]; 0 makes the best one.
         refusal: Why it has stopped; empty while it has not.
         seen: The last images that it decided on, in the policy's view; None before.
         mask: Of the target in the image that it was asked about last (H, W) bool, given or, for a
@@ -67,6 +89,8 @@ class Controller:
         limits: Limits,
         rng: np.random.Generator | None = None,
         segmenter: ExportedSegmenter | None = None,
+        grasper: ExportedGrasper | None = None,
+        grasp_from: float = GRASP_FROM,
     ) -> None:
         """Set a robot up.
 
@@ -78,12 +102,17 @@ class Controller:
             rng: Of the policy's candidates.
             segmenter: From `robot.segmenter.open_segmenter`: finds the target in images that come
                 with colours and without a mask.
+            grasper: From `robot.grasper.open_grasper`; without one it only pushes.
+            grasp_from: See the attribute.
 
         Raises:
             MechSearchError: If the transform is not rigid or tips the table, or the box of the
-                limits and the workspace have nothing in common.
+                limits and the workspace have nothing in common, or `grasp_from` is no chance.
         """
         self.policy, self.limits, self.segmenter = policy, limits, segmenter
+        self.grasp_from, self._grasper = grasp_from, grasper
+        if not 0 <= grasp_from <= 1:
+            raise MechSearchError(f"grasp_from is {grasp_from}; expected a chance from 0 to 1")
         self.view = policy.camera
         pose = np.asarray(base_from_workspace, np.float64)
         # A camera's pose is checked as any other.
@@ -110,6 +139,7 @@ class Controller:
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode, or go on after a refusal whose cause is gone."""
         self.policy.reset(rng)
+        self._rng = rng
         self.refusal = ""
         self.seen: Reprojection | None = None
         self.goal: Floats | None = None
@@ -177,22 +207,57 @@ class Controller:
     def _moved(self, frame: CameraFrame, tool: Tool, now: float) -> Motion:
         """Return the present motion, or the next one where that is over."""
         if self._motion is not None and now < self._until:
-            away = float(np.linalg.norm(self._motion.goal - tool.position))
-            if away > _REACHED:
+            reached = float(np.linalg.norm(self._motion.goal - tool.position)) <= _REACHED
+            if reached and self._motion.kind == GRASPING:
+                # The rest of it is the driver's, however long that takes.
+                self._until = np.inf
+            if not reached or self._until == np.inf:
                 self._motion = replace(self._motion, time=now)
                 return self._motion
         obs = self._observation(frame, tool)
+        grasp, instead = self._grasp(frame)
+        if grasp is not None:
+            self._set_off(self.limits.way_to(grasp, tool.position), tool, now + _TURNING)
+            self._motion = Motion(
+                GRASPING, grasp.position, self.limits.speed, now, instead, grasp.quality,
+                GraspExpectation(grasp.quality), grasp,
+            )  # fmt: skip
+            return self._motion
         choice = self.policy.choose(obs)
         step = cap_length(np.asarray(choice.action, np.float64) * ACTION_LENGTH, ACTION_LENGTH)
         inside = np.clip(obs["ee_position"] + step, self._low, self._high)
         goal = self.limits.clip(apply(self._base_from_workspace, inside))
-        way = float(np.linalg.norm(goal - tool.position))
-        self._until = now + 1.5 * way / self.limits.speed + 0.3
-        self.goal = goal
+        self._set_off([goal], tool, now)
         self._motion = Motion(
-            MOVE, goal, self.limits.speed, now, choice.reason, choice.confidence, choice.expects
-        )
+            MOVE, goal, self.limits.speed, now, choice.reason + instead, choice.confidence,
+            choice.expects,
+        )  # fmt: skip
         return self._motion
+
+    def _set_off(self, way: Sequence[Floats], tool: Tool, now: float) -> None:
+        """Begin a motion past some places (3,) to the last of them."""
+        steps = np.diff([tool.position, *way], axis=0)
+        length = float(np.linalg.norm(steps, axis=1).sum())
+        self._until = now + 1.5 * length / self.limits.speed + 0.3
+        self.goal = way[-1]
+
+    def _grasp(self, frame: CameraFrame) -> tuple[PlannedGrasp | None, str]:
+        """Return the best grasp in the box, and why; or none, and why there is none."""
+        if self._grasper is None:
+            return None, ""
+        assert self.mask is not None
+        found = self._grasper.plan(
+            frame.depth, self.mask, frame.camera, self._rng, self._base_from_workspace
+        )
+        good = [grasp for grasp in found if grasp.quality >= self.grasp_from]
+        for grasp in good:
+            if not self.limits.beyond(grasp):
+                return grasp, f"the best of {len(found)} grasps, rated {grasp.quality:.2f}"
+        if good:
+            return None, f"; {self.limits.beyond(good[0])}"
+        if not found:
+            return None, "; there is no place for a grasp"
+        return None, f"; the best grasp is rated {found[0].quality:.2f}"
 
     def _observation(self, frame: CameraFrame, tool: Tool) -> Observation:
         """Return what the policy sees; count the looks that show no target."""

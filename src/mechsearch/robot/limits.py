@@ -6,11 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from mechsearch.geometry import cap_length
+from mechsearch.geometry import cap_length, rotation_from_quaternion
 from mechsearch.types import Array, Floats, MechSearchError, finite_numbers
 
-MOVE, RETREAT, STOP = "move", "retreat", "stop"
+MOVE, RETREAT, STOP, GRASPING = "move", "retreat", "stop", "grasp"
 """Kinds of motions."""
+
+APPROACH = 0.1
+"""How far before a grasp its straight approach begins [m]."""
+
+_OUTSIDE = 1e-6
+"""How far outside of the box a grasp may be [m]: as numbers are rounded on their way."""
+
+_NEAR = 0.005
+"""How far from a place on its way to a grasp the tip may be to go on [m]."""
 
 _MARGIN = 0.8
 """Share of speed and force at which the guard stays or stops: reactions take time."""
@@ -84,6 +93,36 @@ class Limits:
         """Return how far a position (3,) is outside of the box [m]."""
         return float(np.abs(position - self.clip(position)).max())
 
+    def beyond(self, grasp: "PlannedGrasp") -> str:
+        """Return in words how far a grasp, or where it begins, is outside of the box; or nothing.
+
+        A grasp is not moved to the border: elsewhere it is another one.
+        """
+        away = max(self.outside(grasp.position), self.outside(grasp.begin))
+        if away <= _OUTSIDE:
+            return ""
+        place = ", ".join(f"{number:.3f}" for number in grasp.position)
+        return f"the grasp at ({place}) m is, or begins, {away:.3f} m outside the box of the limits"
+
+    def way_to(self, grasp: "PlannedGrasp", position: Array) -> list[Floats]:
+        """Return where the tip passes (3,) [m] from a position to a grasp, and the grasp.
+
+        It rises to the top of the box, goes over the beginning of the approach and down to it, and
+        then along the approach. What is behind is left out.
+        """
+        begin, top = grasp.begin, self.high[2]
+        over = np.array([*begin[:2], top])
+        before = begin - grasp.position
+        along = float((position - grasp.position) @ before) / APPROACH
+        aside = position - grasp.position - along * before / APPROACH
+        if np.linalg.norm(aside) < _NEAR and along < APPROACH + _NEAR:
+            return [grasp.position]
+        if np.linalg.norm(position[:2] - begin[:2]) < _NEAR:
+            return [begin, grasp.position]
+        if position[2] > top - _NEAR:
+            return [over, begin, grasp.position]
+        return [np.array([*position[:2], top]), over, begin, grasp.position]
+
     def above(self, tool: "Tool") -> Floats | None:
         """Return where to retreat to (3,) [m], or None where going up is not safe.
 
@@ -102,25 +141,65 @@ class Tool:
         position: Of the tip (3,) [m].
         time: When it was measured [s].
         force: That acts on it from outside (3,) [N].
+        ready: Whether it is turned and open as the grasp asks that is being made; before, no guard
+            lets it come down.
     """
 
     position: Floats
     time: float
     force: Floats = field(default_factory=lambda: np.zeros(3))
+    ready: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedGrasp:
+    """A grasp in the robot's base frame.
+
+    Attributes:
+        position: Of the tool's tip when it closes (3,) [m]: between the ends of the open fingers,
+            or in the middle of a cup's lip.
+        quaternion: Of the tool's axes (4,), scalar first: x along the closing direction, z against
+            the approach, up where that is straight down.
+        opening: Between the fingers before they close [m]; 0 of a cup.
+        quality: Chance that it lifts the target, in [0, 1].
+        gripper: By name.
+    """
+
+    position: Floats
+    quaternion: Floats
+    opening: float
+    quality: float
+    gripper: str
+
+    @property
+    def axes(self) -> Floats:
+        """The tool's axes as columns (3, 3)."""
+        return rotation_from_quaternion(self.quaternion)
+
+    @property
+    def approach(self) -> Floats:
+        """Direction (3,) in which the tool comes."""
+        return -self.axes[:, 2]
+
+    @property
+    def begin(self) -> Floats:
+        """Where the tip is when the straight approach begins (3,) [m]."""
+        return np.asarray(self.position - APPROACH * self.approach)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A command: a straight motion of the tip in the robot's base frame, or none.
+    """A command: a straight motion of the tip in the robot's base frame, a grasp, or none.
 
     Attributes:
-        kind: "move", "retreat", or "stop".
+        kind: "move", "retreat", "stop" or "grasp".
         goal: Where the tip goes (3,) [m]; where it is, of a stop.
         speed: At most [m/s].
         time: When it was commanded [s].
         reason: In words.
         confidence: Of the policy, in [0, 1], or None; see `robot.policy.Choice`.
-        expects: What it expects; see there.
+        expects: What it expects; see there, and `robot.grasper.GraspExpectation`.
+        grasp: How the tool comes, of a grasp; else None.
     """
 
     kind: str
@@ -130,6 +209,7 @@ class Motion:
     reason: str
     confidence: float | None = None
     expects: Any = None
+    grasp: PlannedGrasp | None = None
 
 
 class Guard:
@@ -153,10 +233,17 @@ class Guard:
         """Take a motion that has arrived at a time [s]."""
         if self.refusal:
             return
-        kinds, numbers = (MOVE, RETREAT, STOP), [*motion.goal, motion.speed]
-        if motion.kind not in kinds or not np.isfinite(numbers).all() or motion.speed <= 0:
+        grasp, kinds = motion.grasp, (MOVE, RETREAT, STOP) if motion.grasp is None else (GRASPING,)
+        numbers = [*motion.goal, motion.speed, *([] if grasp is None else grasp.position)]
+        whole = np.isfinite(numbers).all() and motion.speed > 0
+        if grasp is not None:
+            whole &= abs(float(np.linalg.norm(grasp.quaternion)) - 1) < _OUTSIDE
+        if motion.kind not in kinds or not whole:
             told = f"{motion.kind} to {motion.goal} at {motion.speed} m/s"
             self.refusal, self._motion = f"no motion: {told}", None
+            return
+        if grasp is not None and (beyond := self.limits.beyond(grasp)):
+            self.refusal, self._motion = beyond, None
             return
         if motion.kind == STOP and (self._motion is None or self._motion.kind != STOP):
             self._point = None
@@ -180,7 +267,7 @@ class Guard:
         if limits.dry_run or motion is None or motion.kind == STOP:
             return self._point
         speed = _MARGIN * min(motion.speed, limits.speed)
-        ahead = limits.clip(motion.goal) - self._point
+        ahead = limits.clip(self._next(motion, tool)) - self._point
         ahead = cap_length(
             ahead, speed * tick * min(1.0, float(np.linalg.norm(ahead)) / (speed * _SLOWING))
         )
@@ -188,6 +275,14 @@ class Guard:
             self._point + ahead - position, limits.lag * limits.speed
         )
         return self._point
+
+    def _next(self, motion: Motion, tool: Tool) -> Array:
+        """Return where a motion passes next (3,) [m]; the last set point, while it has to wait."""
+        if motion.grasp is None:
+            return motion.goal
+        way = self.limits.way_to(motion.grasp, tool.position)
+        waits = len(way) == 1 and not tool.ready
+        return self._point if waits and self._point is not None else way[0]
 
     def _check(self, tool: Tool, now: float, stop: bool) -> None:
         limits, moving = self.limits, self._motion is not None and self._motion.kind != STOP

@@ -19,12 +19,12 @@ OPSET = 18
 
 @dataclass(frozen=True)
 class Exported:
-    """What stands beside an exported network; policies and segmenters add their own.
+    """What stands beside an exported network; policies, segmenters and graspers add their own.
 
     Attributes:
         format: See `FORMAT`.
         mechsearch: Version that wrote it.
-        name: Of the policy or segmenter.
+        name: Of the policy, segmenter or gripper.
         kind: What it gives.
         network: SHA-256 of the network's file.
         opset: See `OPSET`.
@@ -50,7 +50,7 @@ D = TypeVar("D", bound=Exported)
 
 
 def places(folder: Path, what: str) -> tuple[Path, Path]:
-    """Return where an exported "policy" or "segmenter" has its description and its network."""
+    """Return where a "policy", "segmenter" or "grasps" has its description and its network."""
     return folder / f"{what}.json", folder / f"{what}.onnx"
 
 
@@ -106,7 +106,7 @@ class Network:
     """A network in a session of one thread."""
 
     def __init__(self, content: bytes, what: str) -> None:
-        """Take the bytes of an exported "policy" or "segmenter"."""
+        """Take the bytes of an exported "policy", "segmenter" or "grasps"."""
         check_extra(f"an exported {what}", "robot")
         import onnxruntime
 

@@ -22,13 +22,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from mechsearch.robot import bags
 from mechsearch.robot.controller import CameraFrame, Controller
-from mechsearch.robot.limits import MOVE, Guard, Motion, Tool
+from mechsearch.robot.limits import GRASPING, MOVE, Guard, Motion, PlannedGrasp, Tool
 from mechsearch.types import Floats
 
 STOP_TOPIC = "/mechsearch/stop"
 """Whether somebody presses the stop (std_msgs/Bool)."""
 
 _POSE, _WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _QUALITY = Qos(Policy.Reliability.Reliable(duration(milliseconds=20)), Policy.History.KeepLast(1))
 _HEARD = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(1))
@@ -96,8 +97,11 @@ def _vector(kind: str, values: ArrayLike) -> Any:
     return message_type(f"geometry_msgs/msg/{kind}")(x=x, y=y, z=z)
 
 
-def _publish_pose(bus: Bus, topic: str, position: ArrayLike, now: float, base: str) -> None:
-    turn = message_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
+def _publish_pose(
+    bus: Bus, topic: str, position: ArrayLike, now: float, base: str, axes: ArrayLike = _UPRIGHT
+) -> None:
+    w, x, y, z = map(float, np.asarray(axes))
+    turn = message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
     pose = message_type("geometry_msgs/msg/Pose")(
         position=_vector("Point", position), orientation=turn
     )
@@ -107,13 +111,19 @@ def _publish_pose(bus: Bus, topic: str, position: ArrayLike, now: float, base: s
 class RobotNode:
     """The driver's side: tells where the tool is, and follows commands within its guard's limits.
 
-    A command is a pose that the tip goes to; one stays where it is to stop.
+    A command is a pose that the tip goes to; one stays where it is to stop. A grasp, told apart
+    from these, is the pose of tip and axes when the tool closes.
+
+    Attributes:
+        grasp: That is being made, for which the driver turns and opens the tool; else None. How
+            wide it opens, and how likely it lifts, is not a number: no message says so.
     """
 
     def __init__(self, guard: Guard, bus: Bus, topics: bags.Topics) -> None:
         """Take the guard of a robot."""
         self.guard, self._bus, self._topics = guard, bus, topics
-        self._last: Any = None
+        self.grasp: PlannedGrasp | None = None
+        self._last: dict[str, Any] = {}
 
     def step(self, tool: Tool, now: float) -> Floats:
         """Return where the tip should be next (3,) [m]; to be called at the robot's own rate."""
@@ -123,14 +133,24 @@ class RobotNode:
         wrench = message_type("geometry_msgs/msg/Wrench")(force=force, torque=zero)
         stamp = header(tool.time, topics.base)
         bus.publish(topics.wrench, _WRENCH, header=stamp, wrench=wrench)
-        command = bus.newest(bags.COMMANDS_TOPIC, _POSE)
-        if command is not self._last:
-            place = command.pose.position
-            goal = np.array([place.x, place.y, place.z])
-            self.guard.receive(Motion(MOVE, goal, self.guard.limits.speed, now, ""), now)
-            self._last = command
+        newest = {t: bus.newest(t, _POSE) for t in (bags.COMMANDS_TOPIC, bags.GRASPS_TOPIC)}
+        come = [t for t, told in newest.items() if told is not self._last.get(t)]
+        if come:
+            last = max(come, key=lambda topic: bags.seconds_of(newest[topic].header))
+            self._receive(newest[last].pose, now, last == bags.GRASPS_TOPIC)
+            self._last = newest
         pressed = bus.newest(STOP_TOPIC, "std_msgs/msg/Bool")
         return self.guard.set_point(tool, now, pressed is not None and pressed.data)
+
+    def _receive(self, pose: Any, now: float, grasps: bool) -> None:
+        place, q = pose.position, pose.orientation
+        goal, kind = np.array([place.x, place.y, place.z]), MOVE
+        self.grasp = None
+        if grasps:
+            axes, kind = np.array([q.w, q.x, q.y, q.z]), GRASPING
+            self.grasp = PlannedGrasp(goal, axes, np.nan, np.nan, "")
+        speed = self.guard.limits.speed
+        self.guard.receive(Motion(kind, goal, speed, now, "", grasp=self.grasp), now)
 
 
 class ControllerNode:
@@ -183,7 +203,8 @@ class ControllerNode:
         tool = Tool(np.array([place.x, place.y, place.z]), bags.seconds_of(pose.header), pressing)
         stop = pressed is not None and pressed.data
         motion = self.controller.step(self._frame, tool, now, stop)
-        _publish_pose(bus, bags.COMMANDS_TOPIC, motion.goal, now, topics.base)
+        axes = _UPRIGHT if motion.grasp is None else motion.grasp.quaternion
+        _publish_pose(bus, bags.topic_of(motion), motion.goal, now, topics.base, axes)
         bus.publish(bags.REASONS_TOPIC, "std_msgs/msg/String", data=bags.told(motion))
         return motion
 

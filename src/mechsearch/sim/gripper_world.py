@@ -12,12 +12,10 @@ import mujoco
 import numpy as np
 
 from mechsearch.geometry import apply, rotation_from_quaternion, transform_from_pose
+from mechsearch.grippers import AnyGripper, Gripper, SuctionCup
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.gripper import (
     GRASPING_STIFFNESS,
-    AnyGripper,
-    Gripper,
-    SuctionCup,
     close_jaws,
     open_parts,
     stiffen,

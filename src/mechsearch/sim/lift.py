@@ -17,8 +17,8 @@ from mechsearch.geometry import (
     rotation_from_quaternion,
     transform_from_pose,
 )
+from mechsearch.grippers import Gripper
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import Gripper
 from mechsearch.sim.scene import PhysicsConfig, Workspace, compile_scene, reset_data, warned
 from mechsearch.sim.travel import Outlines
 from mechsearch.types import Array, Floats, MechSearchError, Outcome

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from mechsearch.grippers import AnyGripper, Cylinder, Gripper
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.arm import WITH_ARM, Arm, add_arm
 from mechsearch.sim.gripper import (
-    AnyGripper,
-    Cylinder,
-    Gripper,
     add_gripper,
     add_seal,
     add_servo,

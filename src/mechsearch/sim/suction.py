@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 
 from mechsearch.geometry import apply, invert, transform_from_pose
+from mechsearch.grippers import SuctionCup
 from mechsearch.objects.model import ObjectModel
-from mechsearch.sim.gripper import SuctionCup
 from mechsearch.sim.lift import LiftConfig, LiftFrame
 from mechsearch.types import Floats, Outcome
 

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from mechsearch.geometry import rotation_from_quaternion
-from mechsearch.sim.gripper import AnyGripper, Cylinder, Gripper, close_jaws
+from mechsearch.grippers import AnyGripper, Cylinder, Gripper
+from mechsearch.sim.gripper import close_jaws
 from mechsearch.sim.scene import PhysicsConfig, Pusher, Workspace, compile_scene
 from mechsearch.types import Array, Floats
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from mechsearch.grippers import AnyGripper
 from mechsearch.objects.model import ObjectModel
 from mechsearch.sim.arm import Arm, ArmMotion
-from mechsearch.sim.gripper import AnyGripper
 from mechsearch.sim.scene import (
     PhysicsConfig,
     Pusher,

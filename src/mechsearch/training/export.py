@@ -1,4 +1,4 @@
-"""Trained policies and segmenters for computers without PyTorch."""
+"""Trained policies, segmenters and grasp networks for computers without PyTorch."""
 
 import hashlib
 import logging
@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 import torch
 
 from mechsearch.evaluation import policies
-from mechsearch.files import write_json, write_whole
+from mechsearch.files import read_json, write_json, write_whole
+from mechsearch.grasp.quality_network import quality_file, quality_to_export
+from mechsearch.robot import grasper as grasps
 from mechsearch.robot import policy as exported
 from mechsearch.robot import segmenter as masks
 from mechsearch.robot.network import FORMAT, OPSET, Exported, places
@@ -86,6 +88,26 @@ def export_segmenter(
         inputs, outputs, name=spec, kind="masks", image_size=GRID, confidence=confidence,
         target=target, views=len(references.width),
         card=segmentation_card(None if spec == SHIPPED else Path(spec)),
+    )  # fmt: skip
+
+
+def export_grasps(spec: str, folder: Path) -> grasps.GrasperDescription:
+    """Write a gripper's grasp quality network, for `robot.grasper.open_grasper`.
+
+    Args:
+        spec: A gripper, whose shipped network it is, or a network's file.
+        folder: For the network and its description.
+
+    Raises:
+        MechSearchError: If there is neither, or the file is damaged or of another version.
+    """
+    check_extra("`mechsearch export grasps`", "export")
+    name, network, examples, facts = quality_to_export(spec)
+    card = read_json(quality_file(name).with_suffix(".json"), "card") if spec == name else facts
+    inputs, outputs = grasps.described_grasps(name)
+    return _exported(
+        grasps.GrasperDescription, "grasps", folder, network, examples, inputs, outputs,
+        name=spec, card=card, **grasps.described_gripper(name),
     )  # fmt: skip
 
 

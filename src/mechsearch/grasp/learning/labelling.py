@@ -21,18 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from mechsearch.files import alone
-from mechsearch.grasp.grasp_view import (
-    FIELD,
-    GraspView,
-    HeightMap,
-    ImageGrasp,
-    angle_bin,
-    grasp_renderer,
-    height_map,
-    see_heap,
-    segment_view,
-    view_of_heap,
-)
+from mechsearch.grasp.grasp_scene import grasp_renderer, see_heap, view_of_heap
 from mechsearch.grasp.learning.grasp_folder import (
     OUTCOMES,
     GraspFolder,
@@ -42,30 +31,40 @@ from mechsearch.grasp.learning.grasp_folder import (
     sha256,
 )
 from mechsearch.grasp.learning.states import states_of
-from mechsearch.grasp.planner import LEAST_VISIBLE, PROPOSALS, RatedGrasps, propose, rate_grasps
 from mechsearch.grasp.proposals import antipodal, uniform
 from mechsearch.grasp.quality_network import (
-    Aligned,
     QualityNetwork,
-    aligned,
-    grid_of,
     load_quality_network,
+)
+from mechsearch.grippers import (
+    FIELD,
+    LEAST_VISIBLE,
+    PROPOSALS,
+    Aligned,
+    GraspView,
+    Gripper,
+    HeightMap,
+    ImageGrasp,
+    RatedGrasps,
+    aligned,
+    angle_bin,
+    grid_of,
+    gripper_named,
+    height_map,
+    propose,
+    rate_grasps,
+    segment_view,
 )
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, object_set
 from mechsearch.processes import Progress, silent
 from mechsearch.sim import (
     ENGINE_VERSION,
-    Gripper,
     GripperWorld,
     LiftWorld,
     Perturbation,
-    gripper_named,
     perturbed,
 )
 from mechsearch.types import Floats, MechSearchError, Outcome
-
-_LEAST_VISIBLE = 16
-"""Pixels of an object from which grasps are proposed on it."""
 
 _TYPES = (np.float16, np.float32, np.uint8, np.uint8, np.bool_, np.int64, np.str_)
 """Of the arrays of `Grasps`."""
@@ -188,7 +187,7 @@ def _labelled(heap: Heap, objects: str, config: LabelConfig) -> Grasps:
     rows = []
     for index in range(len(models)):
         view = view_of_heap(models, heap.poses, index)
-        if view.mask.sum() < _LEAST_VISIBLE:
+        if view.mask.sum() < LEAST_VISIBLE:
             continue
         for grasp, geometric in _proposed(view, rng, config, gripper):
             pose, friction = grasp.pose(view.camera), gripper.friction

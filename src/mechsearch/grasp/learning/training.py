@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 from mechsearch.files import alone
 from mechsearch.files.tensors import resume, save_progress
-from mechsearch.grasp.grasp_view import ANGLES
 from mechsearch.grasp.learning.grasp_folder import Labelled
 from mechsearch.grasp.learning.labelling import Grasps, Trials
 from mechsearch.grasp.learning.metrics import NetworkComparison, Verdict, compare, judge
@@ -25,6 +24,7 @@ from mechsearch.grasp.quality_network import (
     mirrored,
     save_quality_network,
 )
+from mechsearch.grippers import ANGLES
 from mechsearch.heaps.dataset import evenly_spread
 from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, Floats, MechSearchError

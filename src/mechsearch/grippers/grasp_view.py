@@ -4,7 +4,6 @@ Unlike the image the map has no perspective: what lies under a finger that comes
 wherever the camera stands.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from mechsearch.camera import Camera, look_at
-from mechsearch.objects.model import ObjectModel
-from mechsearch.render.renderer import Renderer
+from mechsearch.geometry import quaternion_from_rotation
 from mechsearch.types import Array, Floats, MechSearchError
 
 ANGLES = 16
@@ -74,7 +72,7 @@ class ImageGrasp:
         closing, up = np.array([*self.axis, 0.0]), np.array([0.0, 0.0, -1.0])
         local = np.stack([closing, np.cross(up, closing), up], axis=1)
         centre = camera.points_at(self.column, self.row, self.depth)
-        return np.array([*centre, *_quaternion(camera.pose[:3, :3] @ local)])
+        return np.array([*centre, *quaternion_from_rotation(camera.pose[:3, :3] @ local)])
 
 
 def bin_angle(index: Array | int) -> Floats:
@@ -124,22 +122,6 @@ def alike(centre: Floats, angle: float, centres: Floats, angles: Floats) -> Arra
     return result
 
 
-def _quaternion(rotation: Floats) -> Floats:
-    """Return the unit quaternion (4,), scalar first, of a rotation matrix (3, 3)."""
-    # Rows of 4 q q^T - I, from the entries of the matrix (Bar-Itzhack, 2000).
-    r = rotation
-    outer = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], 0, 0, 0],
-            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], 0, 0],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    q: Floats = np.linalg.eigh(outer)[1][:, -1]
-    return q if q[0] >= 0 else -q
-
-
 def surroundings(mask: Array, pad: int) -> tuple[slice, slice]:
     """Return the part of an image that holds a mask and so many pixels around it.
 
@@ -154,10 +136,10 @@ def surroundings(mask: Array, pad: int) -> tuple[slice, slice]:
 
 @dataclass(frozen=True, eq=False)
 class GraspView:
-    """A depth image without holes, and where the target is visible in it.
+    """A depth image, and where the target is visible in it.
 
     Attributes:
-        depth: Along the optical axis (H, W) float32 [m].
+        depth: Along the optical axis (H, W) float32 [m]; a height map takes 0 for a hole.
         mask: The target's visible pixels (H, W).
         camera: Intrinsics and pose.
         far: Depth of the surface that things stand on, the farthest a gripper may go [m].
@@ -231,58 +213,6 @@ def grasp_camera() -> Camera:
     return Camera(_FIXED_SIZE, _FIXED_SIZE, _FOCAL, _FOCAL, centre, centre, pose)
 
 
-def grasp_renderer(models: Sequence[ObjectModel]) -> Renderer:
-    """Return what renders these objects for grasping; to build it costs more than an image."""
-    # An edge of the table would look like a drop that no gripper needs to heed.
-    return Renderer(models, table_half=100.0)
-
-
-@dataclass(frozen=True, eq=False)
-class GraspScene:
-    """What the fixed camera sees of a heap, the robot out of the way.
-
-    Attributes:
-        depth: Along the optical axis (512, 512) float32 [m].
-        segments: What each pixel shows (512, 512) uint8: 0 the table, 1 the target, from 2 on the
-            other visible objects, those with most pixels first.
-        objects: Which object each segment is, from segment 1 on; no policy is told.
-    """
-
-    depth: NDArray[np.float32]
-    segments: NDArray[np.uint8]
-    objects: tuple[int, ...]
-
-
-def see_heap(renderer: Renderer, poses: Array, target: int) -> GraspScene:
-    """Return what the fixed camera sees of objects.
-
-    Args:
-        renderer: Of the objects, from `grasp_renderer`.
-        poses: Of theirs (N, 7).
-        target: Its index. It has segment 1 even where no pixel of it is visible.
-    """
-    frame = renderer.frame(grasp_camera(), poses)
-    return GraspScene(frame.depth, *numbered(frame.ids, len(poses), target))
-
-
-def numbered(ids: Array, count: int, target: int) -> tuple[NDArray[np.uint8], tuple[int, ...]]:
-    """Return the segments of a `GraspScene`, and its objects.
-
-    Args:
-        ids: Which object each pixel shows (H, W); -1 where there is none.
-        count: Of the objects.
-        target: Index of the one that is segment 1 even where no pixel of it is visible.
-    """
-    pixels = np.bincount(ids[ids >= 0], minlength=count)
-    # By size: their order in the heap would tell how it was made.
-    shown = np.argsort(-pixels, kind="stable")[: np.count_nonzero(pixels)].tolist()
-    objects = (target, *(index for index in shown if index != target))
-    number = np.zeros(count + 1, np.uint8)
-    number[list(objects)] = np.arange(1, len(objects) + 1)
-    # The table's id is -1, so it reads the last number, which is 0.
-    return number[ids], objects
-
-
 def segment_view(depth: NDArray[np.float32], segments: Array, number: int = 1) -> GraspView:
     """Return the view of one segment of a scene.
 
@@ -301,19 +231,6 @@ def segment_view(depth: NDArray[np.float32], segments: Array, number: int = 1) -
             "fixed camera sees them"
         )
     return GraspView(depth, np.asarray(segments == number), grasp_camera(), METRIC_HEIGHT)
-
-
-def view_of_heap(models: Sequence[ObjectModel], poses: Array, target: int) -> GraspView:
-    """Return the noise-free metric view of objects at rest, the robot out of sight.
-
-    Args:
-        models: The objects.
-        poses: Of theirs (N, 7).
-        target: Its index; the camera looks down on its centre.
-    """
-    camera = metric_camera(poses[target], models[target].radius)
-    frame = grasp_renderer(models).frame(camera, poses)
-    return GraspView(frame.depth, frame.modal(target), camera, METRIC_HEIGHT)
 
 
 _CELL = 0.002
@@ -364,10 +281,22 @@ class HeightMap:
         return self.corner + np.stack([i, j], axis=-1) * self.cell
 
 
+def pixels_beside(camera: Camera, nearest: float) -> int:
+    """Return how many pixels around a target's a height map is made of.
+
+    Args:
+        camera: That looks down.
+        nearest: Least depth of the target [m].
+    """
+    # What stands beside the target may be higher, and so be seen farther out.
+    return int(np.ceil(1.6 * _MARGIN * camera.fx / nearest))
+
+
 def height_map(view: GraspView) -> HeightMap:
     """Return the heights around the visible target.
 
-    What is in shadow is taken to be as low as the lowest that is seen close by.
+    What is in shadow, or in holes of depth 0, is taken to be as low as the lowest that is seen
+    close by.
 
     Args:
         view: From a camera whose world has the table at height 0.
@@ -379,8 +308,7 @@ def height_map(view: GraspView) -> HeightMap:
     if not len(rows):
         raise MechSearchError("a height map of a target of which no pixel is visible")
     camera = view.camera
-    # What stands beside the target may be higher, and so be seen farther out.
-    pad = int(np.ceil(1.6 * _MARGIN * camera.fx / float(view.depth[view.mask].min())))
+    pad = pixels_beside(camera, float(view.depth[view.mask].min()))
     top, left = max(int(rows.min()) - pad, 0), max(int(columns.min()) - pad, 0)
     part = slice(top, int(rows.max()) + pad + 1), slice(left, int(columns.max()) + pad + 1)
     depth, mask = view.depth[part], view.mask[part]
@@ -396,7 +324,7 @@ def height_map(view: GraspView) -> HeightMap:
     ]
     i, j = (np.rint((axis - low) / _CELL).astype(np.int32)
             for axis, low in zip(world[:2], corner, strict=True))  # fmt: skip
-    inside = (i > 0) & (j > 0) & (i < shape[0] - 1) & (j < shape[1] - 1)
+    inside = (i > 0) & (j > 0) & (i < shape[0] - 1) & (j < shape[1] - 1) & (depth > 0)
     # Height and target in one number, so that the highest point brings along whose it is.
     value = np.rint(np.maximum(world[2], 0.0) / _UNIT).astype(np.int32) * 2 + mask
     highest = np.full(shape[0] * shape[1], -1, np.int32)

@@ -1,0 +1,50 @@
+"""Grippers, what their grasps are planned on, and the grasps that are proposed and rated."""
+
+from mechsearch.grippers.grasp_view import (
+    ANGLES,
+    DEPTHS,
+    FIELD,
+    METRIC_HEIGHT,
+    NETWORK_OPENING,
+    STRIDE,
+    GraspView,
+    HeightMap,
+    ImageGrasp,
+    alike,
+    angle_bin,
+    bin_angle,
+    cells,
+    check_opening,
+    depth_bins,
+    grasp_camera,
+    height_map,
+    metric_camera,
+    pixels_beside,
+    segment_view,
+    surroundings,
+)
+from mechsearch.grippers.gripper import (
+    GRIPPERS,
+    PUSHING_STIFFNESS,
+    AnyGripper,
+    Cylinder,
+    Gripper,
+    SuctionCup,
+    gripper_named,
+)
+from mechsearch.grippers.proposals import propose, propose_jaws, propose_suction
+from mechsearch.grippers.rating import (
+    GRASP_NUMBERS,
+    JAWS_GRID,
+    LEAST_VISIBLE,
+    PROPOSALS,
+    SUCTION_GRID,
+    Aligned,
+    GraspRater,
+    PatchGrid,
+    RatedGrasps,
+    aligned,
+    grid_of,
+    plan_grasps,
+    rate_grasps,
+)
