@@ -5,7 +5,7 @@ import pytest
 
 from mechsearch.geometry import rotation_from_quaternion, yaw_quaternion
 from mechsearch.grippers import GRIPPERS
-from mechsearch.sim.arm import ARMS, OUT_OF_REACH, UR5E
+from mechsearch.sim.arm import ARMS, OUT_OF_REACH, PANDA, SELF_COLLISION, UR5E
 from mechsearch.sim.arm_gripper_world import ArmGripperWorld
 from mechsearch.sim.gripper import HAND_LENGTH
 from mechsearch.sim.lift import LiftFrame
@@ -88,6 +88,45 @@ def test_a_grasp_that_cannot_be_carried_out_to_its_end_is_refused_and_nothing_mo
     assert world.motion.refusal == OUT_OF_REACH
     np.testing.assert_array_equal(world.snapshot(), before)
     assert world.attempt(0, APART[0]).held == (0,)
+
+
+def test_a_way_that_swings_into_the_arm_between_two_points_of_it_is_refused():
+    kinematics = kinematics_of(PANDA, JAWS)
+    start = np.array([-0.559, -1.162, 0.535, -2.538, 0.49, 1.45, 1.759])
+    above, turn = kinematics.position(start), kinematics.rotation(start)
+    down = np.array([*above[:2], 0.002])
+    angles = start
+    for share in np.arange(1, 9) / 8:
+        angles = kinematics.inverse(above + share * (down - above), angles, turn)
+        assert kinematics.refusal(angles) is None
+    assert kinematics.path(start, down, turn) == SELF_COLLISION
+
+
+def test_no_joint_is_asked_for_more_than_it_gives_and_the_force_keeps_its_direction(boxes):
+    world, still = small_cubes(boxes, PANDA), np.zeros(7)
+    held = world._kinematics.dynamics(world._angles, still)
+    aside = world._kinematics.inverse(np.add(world.pusher_position, [0.02, 0, 0]), world._angles)
+    world._spring(20_000.0, JAWS.press, JAWS.pull)
+    world._drive(aside, still, still)
+    asked, most = world._motors.copy(), PANDA.of_joints("torque")
+    # 100 N, 31 cm from the sixth joint, would take 31 N m and more; it gives 12.
+    assert np.abs(asked / most).max() == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_array_equal(world._watch.torques, np.abs(asked))
+    more = np.linalg.solve(held.inertia, asked - held.bias)
+    mobility = held.jacobian @ np.linalg.solve(held.inertia, held.jacobian.T)
+    force = np.linalg.solve(mobility, held.jacobian @ more)
+    assert 20 < force[0] < 50
+    np.testing.assert_allclose(force[1:3], 0, atol=1)
+
+
+def test_no_joint_is_driven_faster_than_it_may(boxes):
+    world, still, most = small_cubes(boxes, PANDA), np.zeros(7), PANDA.of_joints("velocity")
+    aside = world._kinematics.inverse(world.pusher_position + np.array([0, 0.05, 0]))
+    world._spring(20_000.0, JAWS.press, JAWS.pull)
+    for _ in range(30):
+        world._drive(aside + 0.4, still, still)
+    assert 0.9 < (world._watch.speeds / most).max() < 1.001
+    assert 0.9 < (world._watch.torques / PANDA.of_joints("torque")).max() < 1.001
 
 
 def test_jaws_turn_the_shorter_way_and_to_a_tilt(boxes):

@@ -105,8 +105,8 @@ class ArmMotion:
         refusal: Name of the reason why it did not move, one of `REFUSED`, or None.
         duration: [s].
         velocities: Each joint's largest, as a share of its limit (J,).
-        torques: The largest that control asked of each joint, as a share of its limit (J,); the
-            joint gives no more than its limit.
+        torques: The largest that control asked of each joint, as a share of its limit (J,), and
+            never more than that.
         margin: Least distance of a joint from the end of its way [rad].
         touched: What links met, of "heap", "table" and "itself"; the tool may meet the heap.
     """

@@ -44,6 +44,9 @@ _WAYPOINTS, _MOST_WAYPOINTS, _SAMPLES = 4, 8, 17
 _APART = 0.06, 0.4
 """Waypoints of longer ways are at most so far apart, as far as there are enough [m, rad]."""
 
+_BETWEEN = 4
+"""Looks for collisions from one waypoint to the next."""
+
 _NEAR, _UPRIGHT = 1e-4, 1e-3
 """How well the inverse is solved [m, rad]."""
 
@@ -234,6 +237,10 @@ class Kinematics:
             return JOINT_LIMIT
         if self.manipulability(angles) < _LEAST_MANIPULABILITY:
             return SINGULARITY
+        return self._collision()
+
+    def _collision(self) -> str | None:
+        """Return what the arm would touch where it was last put, of `REFUSED`, or None."""
         mujoco.mj_collision(self._model, self._data)
         if not self._data.ncon:
             return None
@@ -274,7 +281,14 @@ class Kinematics:
             path.append(angles)
         # The polynomial through all of them, the lowest power first.
         powers = np.vander(np.linspace(0.0, 1.0, len(path)), increasing=True)
-        return np.asarray(np.linalg.solve(powers, np.array(path)), np.float64), length
+        curve = np.asarray(np.linalg.solve(powers, np.array(path)), np.float64)
+        # Between them it may swing out.
+        for share in (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count):
+            self.position(polyval(share, curve))
+            met = self._collision()
+            if met is not None:
+                return met
+        return curve, length
 
     def plan(
         self, start: Array, goal: Array, time_step: float, least: int, rotation: Array | None = None
