@@ -47,12 +47,13 @@ class SimulatedRobot:
         self.limits = limits or Limits(**LIMITS)
         self.guard, self.camera, self.now = Guard(self.limits), own_camera(), 0.0
         self.stop = False
+        self.joints = lambda tip: {}
         self.tips, self.forces, self.motions = [], [], []
 
     def tool(self):
         tip = apply(BASE_FROM_WORKSPACE, self.world.pusher_position)
         force = BASE_FROM_WORKSPACE[:3, :3] @ -self.world.pusher_force
-        return Tool(tip, self.now, force)
+        return Tool(tip, self.now, force, joints=self.joints(tip))
 
     def frame(self, colour=False):
         pose = invert(BASE_FROM_WORKSPACE) @ self.camera.pose

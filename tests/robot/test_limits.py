@@ -182,6 +182,36 @@ def test_the_stop_stops_and_nothing_else(to):
     check_limits(robot)
 
 
+def test_a_joint_near_its_end_stops_the_motion_where_it_is():
+    """Two links of 0.5 m from the base to the tip: as it goes outwards, the elbow opens."""
+
+    def elbow(tip):
+        return {"elbow": 2 * np.arcsin(np.linalg.norm(tip))}
+
+    ends = {"elbow": (0.2, 2.0)}
+    robot, controller = rig((0.0, -1.0, 0.0), joints=ends)
+    robot.joints = elbow
+    robot.run(6.0, controller)
+    assert "joint elbow" in robot.guard.refusal
+    assert robot.speeds[-50:].max() < 0.002
+    opened = [elbow(tip)["elbow"] for tip in robot.tips]
+    assert opened[0] < 1.7
+    # Within 5 % of a margin of 0.05 rad, and it did get near.
+    assert 1.9 < max(opened) < 1.95 + 0.05 * 0.05
+    assert np.ptp(np.array(robot.tips)[-50:], axis=0).max() < 0.002
+    # The controller looks by itself.
+    at = Tool(robot.tips[-1], 0.0, joints={"elbow": 1.96})
+    frame = replace(robot.frame(), time=0.0)
+    _, other = rig((0.0, -1.0, 0.0), joints=ends)
+    assert other.step(frame, at, 0.0).kind == STOP
+    assert "joint elbow is at 1.960 rad" in other.refusal
+    _, other = rig((0.0, -1.0, 0.0), joints=ends)
+    other.step(frame, replace(at, joints={"wrist": 0.0}), 0.0)
+    assert other.refusal == "joint elbow is not measured"
+    with pytest.raises(MechSearchError, match=r"joint elbow goes from 0\.0 to 0\.1 rad"):
+        Limits(**LIMITS, joints={"elbow": (0.0, 0.1)})
+
+
 def test_a_dry_run_decides_all_and_moves_nothing():
     robot, controller = rig(dry_run=True)
     robot.run(1.0, controller)

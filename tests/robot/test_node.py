@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 from mechsearch.robot.bags import COMMANDS_TOPIC, Topics
 from mechsearch.robot.controller import Controller
 from mechsearch.robot.limits import MOVE
-from mechsearch.robot.node import Bus, ControllerNode, RobotNode, message_type
+from mechsearch.robot.node import Bus, ControllerNode, RobotNode, message, message_type
 from mechsearch.robot.segmenter import open_segmenter
 from tests.robot.processes import SLACK, publish_frame
 from tests.robot.simulated_robot import BASE_FROM_WORKSPACE, SEEN_HEAP, SimulatedRobot
@@ -102,8 +102,7 @@ class Memory:
         self.kept = {}
 
     def publish(self, topic, kind, **fields):
-        made = message_type(kind)
-        self.kept[topic] = made.deserialize(made(**fields).serialize())
+        self.kept[topic] = message_type(kind).deserialize(message(kind, **fields).serialize())
 
     def newest(self, topic, kind):
         return self.kept.get(topic)
@@ -136,6 +135,33 @@ def test_a_grasp_goes_by_a_message_of_its_own_and_is_made_by_the_guard():
     assert "/mechsearch/command" in bus.kept
     driver.step(replace(tool, time=1.0), 1.0)
     assert driver.grasp is None
+
+
+def test_joints_come_by_name_and_velocities_and_arrows_go_out():
+    limits, bus = replace(SLACK, joints={"elbow": (-2.0, 2.0)}), Memory()
+    robot = SimulatedRobot(SEEN_HEAP, limits)
+    driver = RobotNode(robot.guard, bus, Topics())
+    controller = Controller(Onwards(1.0, 0.0, 0.0), BASE_FROM_WORKSPACE, limits)
+    node = ControllerNode(controller, robot.camera.pose, bus, Topics())
+    tool = replace(robot.tool(), joints={"wrist": 5.0, "elbow": 0.3})
+    for tick in range(20):
+        now = tick / 200
+        publish_frame(bus, Topics(), robot.frame(), now)
+        tool = replace(tool, position=driver.step(replace(tool, time=now), now), time=now)
+        motion = node.step(now)
+    assert motion.kind == MOVE, motion.reason
+    # The workspace's x axis is the base's y axis; a guard leaves a fifth of the speed.
+    linear = bus.kept["/mechsearch/twist"].twist.linear
+    np.testing.assert_allclose([linear.x, linear.z], 0, atol=1e-6)
+    assert 0 < linear.y <= 0.8 * limits.speed + 1e-6
+    arrow = bus.kept["/mechsearch/marker"]
+    assert (arrow.type, arrow.action, arrow.pose.orientation.w, arrow.color.a) == (0, 0, 1, 1)
+    tip, goal = ([p.x, p.y, p.z] for p in arrow.points)
+    np.testing.assert_allclose(goal, motion.goal)
+    np.testing.assert_allclose(np.subtract(goal, tip)[[0, 2]], 0, atol=0.005)
+    driver.step(replace(tool, joints={"wrist": 5.0, "elbow": 1.97}), 0.1)
+    assert node.step(0.1).reason.startswith("joint elbow is at 1.970 rad")
+    assert "joint elbow" in driver.guard.refusal
 
 
 def test_messages_are_ros_2s_to_the_byte():

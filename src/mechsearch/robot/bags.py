@@ -41,6 +41,7 @@ class Topics:
         tool: Poses of the tool's tip (geometry_msgs/PoseStamped) in the base frame.
         wrench: Forces that act on it (geometry_msgs/WrenchStamped) in the base's axes; may be
             missing.
+        joints: Angles of the robot's joints (sensor_msgs/JointState); nodes alone hear them.
         base: Name of the robot's base frame in /tf and /tf_static.
     """
 
@@ -50,6 +51,7 @@ class Topics:
     colour: str = "/camera/color/image_raw"
     tool: str = "/tool/pose"
     wrench: str = "/tool/wrench"
+    joints: str = "/joint_states"
     base: str = "base_link"
 
 

@@ -180,6 +180,8 @@ class Controller:
             raise _RefusalError(f"the tool was measured {now - tool.time:.2f} s ago", False)
         if (beyond := limits.outside(tool.position)) > 0.01:
             raise _RefusalError(f"the tool is {beyond:.3f} m outside the box of the limits", False)
+        if end := limits.ends_of_joints(tool):
+            raise _RefusalError(end, False)
         if not -limits.image_age <= now - frame.time <= limits.image_age:
             raise _RefusalError(
                 f"the image is {now - frame.time:.2f} s old; expected at most {limits.image_age}",

@@ -1,5 +1,6 @@
 """What a robot may do whatever it is told: limits, and the guard in its driver that keeps them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import dist, inf, isfinite
 from typing import Any
@@ -49,6 +50,8 @@ class Limits:
         retreat: How far up to go after a refusal [m].
         reach: How far the tip gets from the base's origin, as a robot's data sheet says [m]. The
             whole box must be within it.
+        joints: Ranges of the robot's joints [rad] by their names, which are then to be measured.
+        joint_margin: How far a joint stays from both ends of its range [rad].
         dry_run: Whether to decide all, and move nothing.
     """
 
@@ -64,6 +67,8 @@ class Limits:
     lost_looks: int = 5
     retreat: float = 0.1
     reach: float = inf
+    joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint_margin: float = 0.05
     dry_run: bool = False
 
     def __post_init__(self) -> None:
@@ -74,10 +79,17 @@ class Limits:
                 f"the box from {self.low} to {self.high} m is empty; expected low below high"
             )
         names = ("speed", "force", "lag", "image_age", "watchdog", "camera_shift", "camera_turn")
-        for name in (*names, "lost_looks", "retreat"):
+        for name in (*names, "lost_looks", "retreat", "joint_margin"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise MechSearchError(f"{name} is {value}; expected a finite number above 0")
+        for name, ends in self.joints.items():
+            low, high = finite_numbers(ends, (2,), f"joint {name} has two ends [rad]")
+            if not low + 2 * self.joint_margin < high:
+                raise MechSearchError(
+                    f"joint {name} goes from {low} to {high} rad; expected more than twice the "
+                    f"margin of {self.joint_margin} rad"
+                )
         farthest = np.abs([self.low, self.high]).max(axis=0)
         if not (away := dist(farthest, (0, 0, 0))) <= self.reach:
             raise MechSearchError(
@@ -92,6 +104,24 @@ class Limits:
     def outside(self, position: Array) -> float:
         """Return how far a position (3,) is outside of the box [m]."""
         return float(np.abs(position - self.clip(position)).max())
+
+    def ends_of_joints(self, tool: "Tool", share: float = 1.0) -> str:
+        """Return in words which joint was not measured, or is at an end of its range; or nothing.
+
+        Args:
+            tool: As it is measured.
+            share: The margin counts as so much larger: it is divided by this.
+        """
+        for name, (low, high) in self.joints.items():
+            angle = tool.joints.get(name, np.nan)
+            if not isfinite(angle):
+                return f"joint {name} is not measured"
+            if min(angle - low, high - angle) < self.joint_margin / share:
+                return (
+                    f"joint {name} is at {angle:.3f} rad; expected {self.joint_margin} rad from "
+                    f"its ends at {low} and {high}"
+                )
+        return ""
 
     def beyond(self, grasp: "PlannedGrasp") -> str:
         """Return in words how far a grasp, or where it begins, is outside of the box; or nothing.
@@ -141,6 +171,7 @@ class Tool:
         position: Of the tip (3,) [m].
         time: When it was measured [s].
         force: That acts on it from outside (3,) [N].
+        joints: Of the robot [rad], by name; at least those of the limits.
         ready: Whether it is turned and open as the grasp asks that is being made; before, no guard
             lets it come down.
     """
@@ -148,6 +179,7 @@ class Tool:
     position: Floats
     time: float
     force: Floats = field(default_factory=lambda: np.zeros(3))
+    joints: Mapping[str, float] = field(default_factory=dict)
     ready: bool = False
 
 
@@ -292,6 +324,9 @@ class Guard:
             self._refuse("the stop is pressed", None)
         elif now - tool.time > limits.watchdog or not np.isfinite(tool.position).all():
             self._refuse(f"no measurement of the tool for {now - tool.time:.2f} s", None)
+        elif end := limits.ends_of_joints(tool, _MARGIN):
+            # Up may be where that joint is at its end.
+            self._refuse(end, None)
         elif pressed and (not self.refusal or (moving and force > limits.force)):
             # What acts already may act while going up, but not grow.
             again = bool(self.refusal)

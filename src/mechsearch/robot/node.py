@@ -28,7 +28,15 @@ from mechsearch.types import Floats
 STOP_TOPIC = "/mechsearch/stop"
 """Whether somebody presses the stop (std_msgs/Bool)."""
 
+TWIST_TOPIC = "/mechsearch/twist"
+"""Velocity of the set point that a robot's guard lets pass (geometry_msgs/TwistStamped, base
+frame), for drivers that follow velocities."""
+
+MARKER_TOPIC = "/mechsearch/marker"
+"""An arrow from the tip to the goal, to look at (visualization_msgs/Marker, base frame)."""
+
 _POSE, _WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+_JOINTS, _TWIST = "sensor_msgs/msg/JointState", "geometry_msgs/msg/TwistStamped"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _QUALITY = Qos(Policy.Reliability.Reliable(duration(milliseconds=20)), Policy.History.KeepLast(1))
@@ -56,6 +64,20 @@ def _field(node: Nodetype, argument: Any) -> Any:
     return idl.array[inner, argument[1]] if node == Nodetype.ARRAY else idl.sequence[inner]
 
 
+def message(name: str, /, **fields: Any) -> Any:
+    """Return a standard message; what is not given is 0, empty or False."""
+    blank = {field: _blank(*kind) for field, kind in _STORE.fielddefs[name][1]}
+    return message_type(name)(**blank | fields)
+
+
+def _blank(node: Nodetype, argument: Any) -> Any:
+    if node == Nodetype.NAME:
+        return message(argument)
+    if node == Nodetype.BASE:
+        return {"bool": False, "string": ""}.get(argument[0], 0)
+    return [_blank(*argument[0])] * argument[1] if node == Nodetype.ARRAY else []
+
+
 class Bus:
     """Publishes messages, and keeps the newest of each topic."""
 
@@ -66,11 +88,11 @@ class Bus:
         self._readers: dict[str, Any] = {}
         self._newest: dict[str, Any] = {}
 
-    def publish(self, topic: str, kind: str, **fields: Any) -> None:
-        """Publish a message of a kind, such as "std_msgs/msg/Bool"."""
+    def publish(self, topic: str, kind: str, /, **fields: Any) -> None:
+        """Publish a message of a kind, such as "std_msgs/msg/Bool"; see `message`."""
         if topic not in self._writers:
             self._writers[topic] = DataWriter(self._participant, self._topic(topic, kind), _QUALITY)
-        self._writers[topic].write(message_type(kind)(**fields))
+        self._writers[topic].write(message(kind, **fields))
 
     def newest(self, topic: str, kind: str) -> Any:
         """Return the newest message that has come; None before the first."""
@@ -97,15 +119,18 @@ def _vector(kind: str, values: ArrayLike) -> Any:
     return message_type(f"geometry_msgs/msg/{kind}")(x=x, y=y, z=z)
 
 
+def _pose(position: ArrayLike, axes: ArrayLike) -> Any:
+    w, x, y, z = map(float, np.asarray(axes))
+    turn = message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
+    return message_type("geometry_msgs/msg/Pose")(
+        position=_vector("Point", position), orientation=turn
+    )
+
+
 def _publish_pose(
     bus: Bus, topic: str, position: ArrayLike, now: float, base: str, axes: ArrayLike = _UPRIGHT
 ) -> None:
-    w, x, y, z = map(float, np.asarray(axes))
-    turn = message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
-    pose = message_type("geometry_msgs/msg/Pose")(
-        position=_vector("Point", position), orientation=turn
-    )
-    bus.publish(topic, _POSE, header=header(now, base), pose=pose)
+    bus.publish(topic, _POSE, header=header(now, base), pose=_pose(position, axes))
 
 
 class RobotNode:
@@ -124,15 +149,20 @@ class RobotNode:
         self.guard, self._bus, self._topics = guard, bus, topics
         self.grasp: PlannedGrasp | None = None
         self._last: dict[str, Any] = {}
+        self._before: tuple[float, Floats] | None = None
 
     def step(self, tool: Tool, now: float) -> Floats:
         """Return where the tip should be next (3,) [m]; to be called at the robot's own rate."""
         bus, topics = self._bus, self._topics
         _publish_pose(bus, topics.tool, tool.position, tool.time, topics.base)
-        zero, force = _vector("Vector3", np.zeros(3)), _vector("Vector3", tool.force)
-        wrench = message_type("geometry_msgs/msg/Wrench")(force=force, torque=zero)
+        wrench = message("geometry_msgs/msg/Wrench", force=_vector("Vector3", tool.force))
         stamp = header(tool.time, topics.base)
         bus.publish(topics.wrench, _WRENCH, header=stamp, wrench=wrench)
+        if tool.joints:
+            angles = list(map(float, tool.joints.values()))
+            bus.publish(
+                topics.joints, _JOINTS, header=stamp, name=list(tool.joints), position=angles
+            )
         newest = {t: bus.newest(t, _POSE) for t in (bags.COMMANDS_TOPIC, bags.GRASPS_TOPIC)}
         come = [t for t, told in newest.items() if told is not self._last.get(t)]
         if come:
@@ -140,7 +170,13 @@ class RobotNode:
             self._receive(newest[last].pose, now, last == bags.GRASPS_TOPIC)
             self._last = newest
         pressed = bus.newest(STOP_TOPIC, "std_msgs/msg/Bool")
-        return self.guard.set_point(tool, now, pressed is not None and pressed.data)
+        point = self.guard.set_point(tool, now, pressed is not None and pressed.data)
+        time, before = self._before or (now, point)
+        velocity = (point - before) / (now - time) if now > time else np.zeros(3)
+        self._before = now, point
+        twist = message("geometry_msgs/msg/Twist", linear=_vector("Vector3", velocity))
+        bus.publish(TWIST_TOPIC, _TWIST, header=header(now, topics.base), twist=twist)
+        return point
 
     def _receive(self, pose: Any, now: float, grasps: bool) -> None:
         place, q = pose.position, pose.orientation
@@ -200,13 +236,26 @@ class ControllerNode:
             return None
         place, force = pose.pose.position, None if wrench is None else wrench.wrench.force
         pressing = np.zeros(3) if force is None else np.array([force.x, force.y, force.z])
-        tool = Tool(np.array([place.x, place.y, place.z]), bags.seconds_of(pose.header), pressing)
+        told = bus.newest(topics.joints, _JOINTS)
+        joints = {} if told is None else dict(zip(told.name, told.position, strict=False))
+        tip = np.array([place.x, place.y, place.z])
+        tool = Tool(tip, bags.seconds_of(pose.header), pressing, joints=joints)
         stop = pressed is not None and pressed.data
         motion = self.controller.step(self._frame, tool, now, stop)
         axes = _UPRIGHT if motion.grasp is None else motion.grasp.quaternion
         _publish_pose(bus, bags.topic_of(motion), motion.goal, now, topics.base, axes)
         bus.publish(bags.REASONS_TOPIC, "std_msgs/msg/String", data=bags.told(motion))
+        self._show(tip, motion, now)
         return motion
+
+    def _show(self, tip: Floats, motion: Motion, now: float) -> None:
+        # By default an arrow, between two points; as thick as its shaft and its head.
+        self._bus.publish(
+            MARKER_TOPIC, "visualization_msgs/msg/Marker", header=header(now, self._topics.base),
+            ns="mechsearch", points=[_vector("Point", tip), _vector("Point", motion.goal)],
+            pose=_pose(np.zeros(3), _UPRIGHT), scale=_vector("Vector3", (0.005, 0.012, 0.0)),
+            color=message("std_msgs/msg/ColorRGBA", r=0.2, g=0.8, b=0.3, a=1.0),
+        )  # fmt: skip
 
     def spin(self, period: float = 0.05) -> None:
         """Step on and on, each so many seconds."""
