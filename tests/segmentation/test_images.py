@@ -39,7 +39,7 @@ def test_masks_and_shares_are_those_of_the_heap(tmp_path):
             assert not (ids == place + 1)[~modal].any()
             assert seen.names[seen.images.objects[index, place]] == name
         hidden = seen.images.hidden[index, heap.target]
-        shown = (ids == heap.target + 1).sum()
+        shown = frame.modal(heap.target).sum()
         assert hidden == pytest.approx(1 - shown / frame.amodal[heap.target].sum(), abs=1e-6)
         assert seen.images.target[index] == heap.target
         depth = seen.images.seen(index)[1]
@@ -92,7 +92,7 @@ def test_moments_of_episodes_are_shown_as_they_were(tmp_path):
     heap = heap_set.heaps[heap_set.choose("all", 1)[0]]
     poses = np.stack([heap.poses] * 2)
     poses[:, :, 0] += 0.05
-    tips = np.array([[0.2, 0.2, 0.05]] * 2)
+    tips = np.array([[*poses[0, heap.target, :2], 0.15]] * 2)
     config, courses = replace(PLAIN, limit=0), {heap.seed: (poses, tips)}
     make_images(HEAPS, "", config, tmp_path, courses=courses)
     seen = load_images([tmp_path])
@@ -101,6 +101,11 @@ def test_moments_of_episodes_are_shown_as_they_were(tmp_path):
     frame = renderer.frame(camera, poses[0], Pusher().pose(tips[0]))
     np.testing.assert_array_equal(seen.images.ids[0], np.maximum(frame.ids + 1, 0))
     assert seen.images.heap.tolist() == [heap.seed]
+    # The end effector is in front of the target, but others alone hide it.
+    bare = renderer.frame(camera, poses[0])
+    whole, shown = frame.amodal[heap.target].sum(), bare.modal(heap.target).sum()
+    assert frame.modal(heap.target).sum() < shown
+    assert seen.images.hidden[0, heap.target] == pytest.approx(1 - shown / whole, abs=1e-6)
     with pytest.raises(MechSearchError, match="made from another courses; name another folder"):
         make_images(HEAPS, "", config, tmp_path, courses={heap.seed: (poses, tips + 0.1)})
     with pytest.raises(MechSearchError, match="1 of 1 episodes are on no heap of the split all"):

@@ -50,7 +50,7 @@ def ends(env, actions):
 
 
 def test_three_sure_looks_one_after_another_end_an_episode(covered, boxes, monkeypatch):
-    env, _ = judged(covered, boxes, monkeypatch, 0.1, 0.99, 0.99, 0.74, 0.75, 0.99, 0.8)
+    env, _ = judged(covered, boxes, monkeypatch, 0.1, 0.99, 0.99, 0.81, 0.82, 0.99, 0.9)
     assert ends(env, 6) == [None] * 6
     _, _, terminated, truncated, info = env.step(IDLE)
     assert (info["end"], terminated, truncated) == ("stopped", True, False)

@@ -11,7 +11,7 @@ import torch
 
 import mechsearch.segmentation.network as own
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.observe.masks import image_channels, mask_features
+from mechsearch.observe.masks import image_channels, mask_features, surest_parts
 from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
@@ -83,6 +83,15 @@ def test_confidence_is_the_logistic_of_its_features(fresh):
     logits[:2, :2] = np.log(3)
     # Four pixels of chance 3 / 4 and nothing elsewhere: expected IoU 3 / 4.
     np.testing.assert_allclose(mask_features(logits), [np.log(3), np.log(4)])
+
+
+def test_parts_of_a_mask_that_are_clearly_less_sure_than_another_are_not_in_it():
+    logits = np.full((4, 8), -3.0)
+    logits[0, :2], logits[1, 2], logits[3, 3:5], logits[0, 5:7] = (4.0, 0.5), 0.1, 3.1, 2.9
+    # The first part has a corner in common with its weakest pixel.
+    assert surest_parts(logits).nonzero()[1].tolist() == [0, 1, 2, 3, 4]
+    assert surest_parts(logits - 3.5).sum() == 1
+    assert not surest_parts(logits - 5).any()
 
 
 def test_a_segmenter_without_views_is_refused(fresh, scene):

@@ -81,7 +81,8 @@ class TrainSegmentation(Command):
     """Train a segmentation network, from scratch, or go on with a training.
 
     Attributes:
-        images: Folders that `mechsearch segment images` wrote.
+        images: Folders that `mechsearch segment images` wrote; one that is named twice counts
+            twice.
         out: Folder for checkpoint and network; one that was cut off is continued.
         start: Network (.safetensors) to begin with, such as one to train further.
         config: How to train.

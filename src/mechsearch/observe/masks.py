@@ -6,6 +6,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import label, maximum
 
 from mechsearch.camera import Camera
 from mechsearch.types import Array, Floats, MechSearchError
@@ -18,6 +19,9 @@ LEAST_CONFIDENCE = 0.5
 
 _LEAST_PIXELS = 4
 """Of a mask; a smaller one counts as empty too."""
+
+_LESS_SURE = 1.0
+"""Logit by which the surest pixel of one part of a mask may be less sure than another part's."""
 
 _PIXEL, _HEIGHT = 0.0054, 0.1
 """What becomes 0 or 1 of a pixel's side on the table, and of a height [m]."""
@@ -73,10 +77,22 @@ def logits_by(
     return network(seen)[:height, :width]
 
 
+def surest_parts(logits: Array) -> NDArray[np.bool_]:
+    """Return where logits (H, W) are above 0, without separate parts that are clearly less sure.
+
+    A target of which several parts are seen looks as sure in each; what is less sure is mostly
+    another object of its colours.
+    """
+    inside = logits > 0
+    parts, count = label(inside, np.ones((3, 3)))
+    most = maximum(logits, parts, np.arange(count + 1))
+    return np.asarray(inside & (most >= most.max() - _LESS_SURE)[parts])
+
+
 def mask_features(logits: Array) -> Floats:
     """Return from what a mask's confidence is computed (2,): expected IoU and size, as logits."""
     chance = 1 / (1 + np.exp(-np.clip(logits, -30, 30).astype(np.float64)))
-    inside = logits > 0
+    inside = surest_parts(logits)
     size = int(inside.sum())
     if not size:
         return np.array([-6.0, 0.0])
@@ -99,7 +115,7 @@ def mask_of(
     if logits.shape != (size := (camera.height, camera.width)):
         finer = Image.fromarray(logits).resize(size[::-1], Image.Resampling.BILINEAR)
         logits = np.asarray(finer)
-    return logits > 0, 1 / (1 + exp(-min(max(chance, -30.0), 30.0)))
+    return surest_parts(logits), 1 / (1 + exp(-min(max(chance, -30.0), 30.0)))
 
 
 def check_seen(rgb: Array, depth: Array, camera: Camera) -> None:

@@ -32,7 +32,7 @@ MOST_OBJECTS = 24
 """In an image."""
 
 _MANIFEST_FILE, _LIBRARY_FILE = "images.json", "references.npz"
-_FORMAT, _PURPOSE = 1, "manifest of segmentation images"
+_FORMAT, _PURPOSE = 2, "manifest of segmentation images"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Images:
         ids: What each pixel shows (n, G, G) uint8: 0 no object, else its place in `objects` and 1.
         camera: Where it is believed to be (n, 20): fx, fy, cx, cy [px], then its pose.
         objects: In the library of references (n, `MOST_OBJECTS`) int16; -1 beyond the last.
-        hidden: Share of each object that others hide (n, `MOST_OBJECTS`), in [0, 1].
+        hidden: Share of each object that other objects hide (n, `MOST_OBJECTS`), in [0, 1].
         target: Place of the heap's own target (n,); -1 where it is not there.
         heap: Seed of the heap (n,).
     """
@@ -409,7 +409,9 @@ def _image_of(
         depth, _ = sensing.take(0, seen, depth, ids > MOST_OBJECTS, frame.ids, frame.rgb)
     rgb = in_other_light(frame.rgb, frame.ids == BACKGROUND, rng) if randomised else frame.rgb
     whole = frame.amodal.sum(axis=(1, 2))
-    visible = np.bincount(ids.ravel(), minlength=len(models) + 1)[1:]
+    # The end effector hides nothing for long: what it is in front of is not hidden by others.
+    bare = frame if effector is None else renderer.frame(seen, poses)
+    visible = np.bincount(bare.ids[bare.ids >= 0], minlength=len(models))
     placed, hidden = np.full(MOST_OBJECTS, -1, np.int16), np.ones(MOST_OBJECTS, np.float32)
     placed[: len(models)], hidden[: len(models)] = drawn, 1 - visible / np.maximum(whole, 1)
     own = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_from_camera]

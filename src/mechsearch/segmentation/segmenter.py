@@ -27,7 +27,7 @@ TRUE, SHIPPED = "true", "shipped"
 NEVER = "never"
 """Name of what ends no episode."""
 
-LEAST_CHANCE, LOOKS = 0.75, 3
+LEAST_CHANCE, LOOKS = 0.82, 3
 """Chance of being uncovered with which an episode is ended, in so many looks one after another."""
 
 _NETWORK = "mechsearch.segmentation.network:network_segmenter"

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from mechsearch.files import alone
 from mechsearch.files.tensors import resume, save_progress
-from mechsearch.observe.masks import image_channels, mask_features
+from mechsearch.observe.masks import image_channels, mask_features, surest_parts
 from mechsearch.processes import Progress, silent
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.judging import found_by, partly_hidden
@@ -155,7 +155,7 @@ def calibrated(
         found.append((logits, images.ids[index] == place + 1))
 
     def scores(bound: float) -> Floats:
-        rows = [(logits > bound, truth) for logits, truth in found]
+        rows = [(surest_parts(logits - bound), truth) for logits, truth in found]
         return np.array([
             ((m & t).sum() / (m | t).sum(), (m & t).sum() > 0.5 * m.sum()) for m, t in rows
         ], np.float64)  # fmt: skip
