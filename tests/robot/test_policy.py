@@ -54,6 +54,26 @@ def test_what_is_expected_is_the_mean_of_the_networks(pushes, exported_pushes, o
     assert choice.confidence == pytest.approx(1 - abs(uncovered[0] - uncovered[1]), abs=1e-5)
 
 
+def test_fewer_candidates_are_the_first_ones(
+    pushes, exported_pushes, exported_actor, observations, tmp_path, capsys
+):
+    from mechsearch.cli import main
+
+    words = ["export", "policy", str(exported_pushes.parent / "policy.safetensors"), "--out"]
+    main([*words, str(tmp_path / "few"), "--candidates", "5"])
+    carried = open_policy(tmp_path / "few")
+    for i, obs in enumerate(observations):
+        carried.reset(np.random.default_rng(i))
+        assert carried.choose(obs).reason.endswith("the best of 5")
+        candidates, sight = draw_pushes(5, np.random.default_rng(i)), pushes.see(obs)
+        best = candidates[int(pushes.judge(candidates, sight).argmax())]
+        assert f"towards {np.rad2deg(best.direction):.0f} degrees" in carried.choose(obs).reason
+    words[2] = str(exported_actor.parent / "policy.safetensors")
+    with pytest.raises(SystemExit):
+        main([*words, str(tmp_path / "none"), "--candidates", "5"])
+    assert "is to judge 5 candidates; expected none: it judges no" in capsys.readouterr().err
+
+
 def test_an_exported_actor_acts_as_in_pytorch(actor, exported_actor, observations):
     carried = open_policy(exported_actor)
     for obs in observations:

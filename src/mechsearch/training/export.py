@@ -26,15 +26,17 @@ from mechsearch.types import MechSearchError, check_extra
 D = TypeVar("D", bound=Exported)
 
 
-def export_policy(spec: str, folder: Path) -> exported.Description:
+def export_policy(spec: str, folder: Path, candidates: int | None = None) -> exported.Description:
     """Write a policy for `robot.policy.open_policy`.
 
     Args:
         spec: One of `SHIPPED_POLICIES`, a run directory, or one policy's file.
         folder: For the network and its description.
+        candidates: Pushes to judge at each decision; None takes as many as in training.
 
     Raises:
-        MechSearchError: If there is no such policy, or it is of a kind that is not exported.
+        MechSearchError: If there is no such policy, it is of a kind that is not exported, or it has
+            no candidates, or is to have none.
     """
     check_extra("`mechsearch export policy`", "export")
     policy = policies.policy_named(spec)
@@ -44,6 +46,10 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
             f"the policy {spec} is a {type(inner).__name__}, which is not exported; expected one "
             "that chooses pushes or actions by networks, such as single or a run of method"
         )
+    own = getattr(inner, "candidates", 0)
+    if candidates is not None and not (own and candidates > 0):
+        expected = "at least 1" if own else "none: it judges no pushes"
+        raise MechSearchError(f"{spec} is to judge {candidates} candidates; expected {expected}")
     kind, network, examples = inner.to_export()
     run = policies.config_of_run(spec)
     task = policies.task_of(policy, run, "overhead")
@@ -54,7 +60,7 @@ def export_policy(spec: str, folder: Path) -> exported.Description:
         exported.Description, "policy", folder, network, examples, inputs, outputs,
         name=spec, kind=kind, camera=task.camera, image_size=task.image_size,
         low=[-bounds.half, -bounds.half, bounds.low], high=[bounds.half, bounds.half, bounds.high],
-        candidates=getattr(inner, "candidates", 0), card=card,
+        candidates=candidates or own, card=card,
         searches=getattr(inner, "searches", False),
     )  # fmt: skip
 
