@@ -204,6 +204,35 @@ def test_a_guard_brings_the_tool_down_along_the_approach_once_it_is_ready(tilt):
     assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() * 200 <= BOX.speed
 
 
+@pytest.mark.parametrize(
+    ("fault", "words", "up"),
+    [
+        ({"force": np.array([0.0, 0.0, 17.0])}, "17.0 N at the tool", 0.1),
+        ({}, "no command for 0.30 s", 0.1),
+        ({"stop": True}, "the stop is pressed", 0.0),
+        ({"joints": {"elbow": 1.97}}, "joint elbow is at 1.970 rad", 0.0),
+    ],
+)
+def test_a_guard_leaves_a_grasp_for_the_limits_of_any_motion(fault, words, up):
+    guard = Guard(replace(BOX, joints={"elbow": (-2.0, 2.0)}))
+    tool = Tool(ASKED.begin - [0, 0, 0.02], 0.0, joints={"elbow": 0.0}, ready=True)
+    guard.receive(asked(ASKED), 0.0)
+    tips = [tool.position]
+    for now in np.arange(1, 400) / 200:
+        wrong = fault if now > 0.2 else {}
+        if fault and not wrong:
+            guard.receive(asked(ASKED), now)
+        stop = wrong.get("stop", False)
+        tool = replace(tool, time=now, **{k: v for k, v in wrong.items() if k != "stop"})
+        tool = replace(tool, position=guard.set_point(tool, now, stop))
+        tips.append(tool.position)
+    assert guard.refusal.startswith(words)
+    lowest = min(tip[2] for tip in tips)
+    # Down for 0.2 s, or 0.3 s in silence, and no farther than a reaction takes.
+    assert ASKED.position[2] < lowest < tips[0][2] - 0.01
+    np.testing.assert_allclose(tips[-1], [*ASKED.position[:2], lowest + up], atol=0.005)
+
+
 def test_a_guard_refuses_grasps_outside_the_box_and_what_is_no_turn():
     high = replace(ASKED, position=np.array([0.45, 0.1, 0.3]))
     for motion, words in (
