@@ -43,19 +43,12 @@ def zigzag(middle: Floats, direction: float, reach: float = REACH) -> Floats:
     return middle + np.outer(ways, along) + np.outer(sides, across)
 
 
-def spiral(
-    middle: Floats, direction: float, turns: float = SPIRAL_TURNS, mirrored: bool = False
-) -> Floats:
-    """Return points (N, 2) outwards from near `middle`, counter-clockwise if not `mirrored`."""
-    count = max(round(turns / SPIRAL_TURNS * SPIRAL_POINTS), 3)
-    # As `linspace`, which takes longer than all the rest.
-    turned = np.arange(count) * (turns / (count - 1))
-    turned[-1] = turns
+def spiral(middle: Floats, direction: float) -> Floats:
+    """Return points (N, 2) outwards from near `middle`, counter-clockwise."""
+    turned = np.linspace(0, SPIRAL_TURNS, SPIRAL_POINTS)
     radii = INNER + (OUTER - INNER) / SPIRAL_TURNS * turned
-    angles = direction + (-2 if mirrored else 2) * np.pi * turned
-    points = np.empty((count, 2))
-    points[:, 0], points[:, 1] = radii * np.cos(angles), radii * np.sin(angles)
-    points += middle
+    angles = direction + 2 * np.pi * turned
+    points: Floats = middle + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
     return points
 
 
@@ -114,18 +107,9 @@ class Push:
         side = -1.0 if self.mirrored else 1.0
         return along, side * np.array([-along[1], along[0]])
 
-    def middle(self, centre: Floats) -> Floats:
-        """Return the point (2,) [m] that it passes beside or through a target at `centre`."""
-        along = _unit(self.direction)
-        place: Floats = centre[:2] + np.array(self.offset)
-        return place + self.lateral * np.array([-along[1], along[0]])
-
     def path(self, centre: Floats) -> Floats:
         """Return its waypoints (N, 2) [m] about a target at `centre`."""
-        middle = self.middle(centre)
-        if self.kind == "spiral":
-            return spiral(middle, self.direction, self.turns, self.mirrored)
-        return straight(middle, self.direction, self.before, self.after)
+        return _paths([self], _Frames([self], centre))[2]
 
 
 def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
@@ -373,9 +357,10 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
 
 
 class _Frames:
-    """The axes, places, middles (n, 2) and directions of n pushes, as `Push` has them of one.
+    """The axes, places, middles (n, 2) and directions of n pushes; axes as `Push` has them of one.
 
-    The side (n,) of the second axis is 1 on the left, and -1 on the right.
+    A middle is the point that a push passes. The side (n,) of the second axis is 1 on the left, and
+    -1 on the right.
     """
 
     def __init__(self, pushes: Sequence[Push], centre: Floats) -> None:
@@ -390,10 +375,7 @@ class _Frames:
 
 
 def _paths(pushes: Sequence[Push], frames: _Frames) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return each push's number of waypoints, and all of them (N, 2) in own axes and the world's.
-
-    They are those of `Push.path` to the bit.
-    """
+    """Return how many waypoints each push has, and all (N, 2) in own axes and in the world's."""
     spirals = np.array([push.kind == "spiral" for push in pushes], np.bool_)
     turns, before, after = (
         np.array([getattr(push, name) for push in pushes]) for name in ("turns", "before", "after")
