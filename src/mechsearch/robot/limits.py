@@ -110,7 +110,7 @@ class Limits:
 
         Args:
             tool: As it is measured.
-            share: The margin counts as so much larger: it is divided by this.
+            share: What the margin is divided by: who takes a while to react begins earlier.
         """
         for name, (low, high) in self.joints.items():
             angle = tool.joints.get(name, np.nan)

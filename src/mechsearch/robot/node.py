@@ -66,8 +66,9 @@ def _field(node: Nodetype, argument: Any) -> Any:
 
 def message(name: str, /, **fields: Any) -> Any:
     """Return a standard message; what is not given is 0, empty or False."""
-    blank = {field: _blank(*kind) for field, kind in _STORE.fielddefs[name][1]}
-    return message_type(name)(**blank | fields)
+    kinds = _STORE.fielddefs[name][1]
+    blank = {field: _blank(*kind) for field, kind in kinds if field not in fields}
+    return message_type(name)(**blank, **fields)
 
 
 def _blank(node: Nodetype, argument: Any) -> Any:
@@ -110,21 +111,19 @@ class Bus:
 def header(now: float, frame: str) -> Any:
     """Return a message's header."""
     seconds, nanoseconds = divmod(round(now * 1e9), 10**9)
-    stamp = message_type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
-    return message_type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
+    stamp = message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
 
 def _vector(kind: str, values: ArrayLike) -> Any:
     x, y, z = map(float, np.asarray(values))
-    return message_type(f"geometry_msgs/msg/{kind}")(x=x, y=y, z=z)
+    return message(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
 
 
 def _pose(position: ArrayLike, axes: ArrayLike) -> Any:
     w, x, y, z = map(float, np.asarray(axes))
-    turn = message_type("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
-    return message_type("geometry_msgs/msg/Pose")(
-        position=_vector("Point", position), orientation=turn
-    )
+    turn = message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    return message("geometry_msgs/msg/Pose", position=_vector("Point", position), orientation=turn)
 
 
 def _publish_pose(
