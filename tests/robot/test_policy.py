@@ -11,6 +11,7 @@ import pytest
 from mechsearch.pushes.push import draw_pushes
 from mechsearch.robot.policy import open_policy
 from mechsearch.types import MechSearchError
+from tests.robot.described import check_described
 
 
 def test_exported_pushes_are_chosen_and_judged_as_in_pytorch(pushes, exported_pushes, observations):
@@ -81,27 +82,12 @@ def test_an_exported_actor_acts_as_in_pytorch(actor, exported_actor, observation
 
 
 def test_the_description_says_what_goes_in_and_comes_out(exported_pushes, exported_actor):
-    import onnxruntime
-
     for folder in (exported_pushes, exported_actor):
         described = open_policy(folder).description
-        session = onnxruntime.InferenceSession(str(folder / "policy.onnx"))
-        dtypes = {"float16": "tensor(float16)", "float32": "tensor(float)"}
-        for tensors, own in (
-            (described.inputs, session.get_inputs()),
-            (described.outputs, session.get_outputs()),
-        ):
-            assert set(tensors) == {tensor.name for tensor in own}
-            for tensor in own:
-                said = tensors[tensor.name]
-                assert tensor.type == dtypes[said["dtype"]]
-                assert len(tensor.shape) == len(said["shape"])
-                for side, meant in zip(tensor.shape, said["shape"], strict=True):
-                    # K is the number of networks; N stays open.
-                    assert (
-                        isinstance(side, str) if meant == "N" else side == (meant, 2)[meant == "K"]
-                    )
-                assert said["unit"]
+        # K is the number of networks.
+        check_described(described, folder / "policy.onnx", K=2)
+        both = (*described.inputs.values(), *described.outputs.values())
+        assert {tensor["dtype"] for tensor in both} <= {"float16", "float32"}
         assert (described.camera, described.image_size, described.opset) == ("overhead", 64, 18)
 
 

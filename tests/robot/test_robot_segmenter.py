@@ -13,6 +13,7 @@ from mechsearch.robot.controller import Controller
 from mechsearch.robot.limits import MOVE, RETREAT, Limits
 from mechsearch.robot.segmenter import open_segmenter
 from mechsearch.types import MechSearchError
+from tests.robot.described import check_described
 from tests.robot.simulated_robot import (
     BASE_FROM_WORKSPACE,
     LIMITS,
@@ -55,18 +56,11 @@ def test_masks_and_confidence_are_pytorchs(exported_segmenter, frames):
 
 
 def test_the_description_says_what_goes_in_and_comes_out(exported_segmenter):
-    import onnxruntime
-
     described = open_segmenter(exported_segmenter).description
-    session = onnxruntime.InferenceSession(str(exported_segmenter / "segmenter.onnx"))
-    for said, own in (
-        (described.inputs, session.get_inputs()),
-        (described.outputs, session.get_outputs()),
-    ):
-        assert {n: (t["shape"], t["dtype"]) for n, t in said.items()} == {
-            tensor.name: (tensor.shape, "float32") for tensor in own
-        }
-        assert all(tensor.type == "tensor(float)" and said[tensor.name]["unit"] for tensor in own)
+    check_described(described, exported_segmenter / "segmenter.onnx")
+    for tensor in (*described.inputs.values(), *described.outputs.values()):
+        assert tensor["dtype"] == "float32"
+        assert all(isinstance(side, int) for side in tensor["shape"])
     assert (described.image_size, described.views, described.opset) == (128, 12, 18)
     assert described.card["validation"]["iou"] > 0.5
 
