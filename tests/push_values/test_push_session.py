@@ -231,3 +231,22 @@ def test_pushes_are_learnt_in_heaps_only(plus, make_parts, tmp_path):
     with pytest.raises(MechSearchError, match="learnt in heaps, not in a object"):
         learn(plus, parts, tmp_path)
     assert not any(tmp_path.iterdir())
+
+
+def test_decisions_are_learnt_from_as_other_sensors_see_them(plus, make_env):
+    """Each push a second time, with the same outcome and way, and another image."""
+    alone, both = (begun(plus.changed(also=also), make_env).episode() for also in ((), ("stereo",)))
+    assert alone.summary == both.summary
+    np.testing.assert_array_equal(alone.followed, both.followed)
+    count, own = len(alone.samples), both.samples
+    assert count < len(own) <= 2 * count
+    outcomes = [tuple(row) for row in own.outcomes.tolist()]
+    assert set(outcomes) == {tuple(row) for row in alone.samples.outcomes.tolist()}
+    tries = plus.algorithm.tries
+    first, again = slice(0, tries), slice(tries, 2 * tries)
+    assert outcomes[first] == outcomes[again]
+    assert (own.patches[first] != own.patches[again]).any()
+    # Heights are off by what the sensor is, and ways by little.
+    assert (own.numbers[first] - own.numbers[again]).abs().max() < 1
+    with pytest.raises(MechSearchError, match="unknown sensor 'eyes'; choose one of perfect"):
+        plus.changed(also=("eyes",))

@@ -39,6 +39,20 @@ def test_a_mirrored_spiral_is_the_mirror_image_at_its_direction():
     np.testing.assert_allclose(right - CENTRE[:2], mirror, atol=1e-12)
 
 
+def test_a_straight_push_goes_the_same_way_about_a_target_that_is_seen_elsewhere():
+    shift = np.array([0.004, -0.007, 0.003])
+    for push in draw_pushes(20, np.random.default_rng(0)):
+        moved = push.about(shift)
+        assert moved.height + CENTRE[2] + shift[2] == pytest.approx(push.height + CENTRE[2])
+        off = moved.path(CENTRE + shift) - push.path(CENTRE)
+        if push.kind == "straight":
+            np.testing.assert_allclose(off, 0, atol=1e-12)
+        else:
+            across = np.array([-np.sin(push.direction), np.cos(push.direction)])
+            np.testing.assert_allclose(off @ across, 0, atol=1e-12)
+            assert np.abs(off).max() <= np.linalg.norm(shift)
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_random_pushes_stay_near_the_target_and_above_the_table(seed):
     for push in draw_pushes(5, np.random.default_rng(seed)):

@@ -11,4 +11,13 @@ from mechsearch.env.task import (
     TaskConfig,
     task_from_json,
 )
-from mechsearch.env.trial import Propose, Rollout, from_start, imageless, once, pushing, roll_out
+from mechsearch.env.trial import (
+    Propose,
+    Rollout,
+    from_start,
+    imageless,
+    once,
+    pushing,
+    roll_out,
+    through,
+)

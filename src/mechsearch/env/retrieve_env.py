@@ -253,7 +253,7 @@ class RetrieveEnv(SceneEnv[GripperWorld | ArmGripperWorld]):
             poses[~scene.present, 0] += 10.0
             depth, seen["segments"], _ = scene.sense(
                 grasp_camera(), step, poses, None,
-                lambda frame: numbered(frame.ids, len(poses), scene.heap.target)[0],
+                lambda frame: numbered(frame.ids, len(poses), scene.heap.target)[0], level=True,
             )  # fmt: skip
             seen["grasp_depth"] = without_holes(depth, "grasp_depth")
         for kind, key in enumerate(BUDGET_KEYS):

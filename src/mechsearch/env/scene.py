@@ -16,7 +16,7 @@ from mechsearch.env.task import HeapEnvConfig
 from mechsearch.geometry import cap_length
 from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.observe.observation import Observer, Scene, others
+from mechsearch.observe.observation import Observer, Scene, others, without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.sim import HeapWorld
@@ -36,6 +36,9 @@ _ACTION = "an action is (3,) finite numbers in [-1, 1]"
 
 _TRAY_AWAY = 0.2
 """Between the table and the tray beside it, out of every camera's view [m]."""
+
+_HOLE = 1000
+"""What holes are marked by, beside numbers of masks."""
 
 _SAVED = ("heap", "world", "poses", "present", "occlusion")
 
@@ -245,10 +248,12 @@ class HeapScene(Generic[W]):
         effector: Floats | None,
         labels: Callable[[Frame], Array],
         colour: bool = False,
+        level: bool = False,
+        found: Array | None = None,
     ) -> tuple[Array, Array, Array | None]:
         """Return depth, 0 in holes, masks and colours as the task's sensor gives them.
 
-        What is seen from a mounted camera is reprojected, and masks are of the target alone then.
+        What is seen from a mounted camera is reprojected.
 
         Args:
             camera: Of the images; where the sensor is believed to be, unless it is mounted.
@@ -256,7 +261,9 @@ class HeapScene(Generic[W]):
             poses: Of all objects (N, 7).
             effector: Pose of the end effector (7,); None leaves it out of view.
             labels: Returns the true masks in a frame; see `Sensor.segment`.
-            colour: Whether colours are asked for.
+            colour: Whether colours are asked for; without a mounted camera they stay as they are.
+            level: Whether an image with errors is held against the table, as `reproject` does.
+            found: Masks (H, W) of a segmenter on the sensor's image, in place of the true ones.
         """
         sensing, mount = self._sensing, self._config.mount
         seen = sensing.camera(mount or camera)
@@ -264,22 +271,28 @@ class HeapScene(Generic[W]):
         depth, masks = frame.depth, labels(frame)
         if not sensing.is_perfect:
             depth, masks = sensing.take(step, seen, depth, masks, frame.ids, frame.rgb)
-        if mount is None:
-            return depth, masks, frame.rgb
-        found = reproject(depth, mount, camera, masks, frame.rgb)
-        return found.depth, np.asarray(found.mask), found.colour
+        masks = masks if found is None else found
+        if mount is not None:
+            view = reproject(depth, mount, camera, masks, frame.rgb)
+            return view.depth, np.asarray(view.mask), view.colour
+        if level and not sensing.is_perfect:
+            depth, masks = _levelled(depth, masks, camera)
+        return depth, masks, frame.rgb
 
     def observe(self, step: int) -> dict[str, Array]:
         """Return a fresh observation, after so many of the episode's actions."""
         heap, depth, mask, rgb = self.heap, None, None, None
         if self.observer.needs_images:
+            found = None if self._finder is None else self._found(step)
+            mounted = self._config.mount is not None
             depth, mask, rgb = self.sense(
                 preset(self._config.camera, self._config.image_size), step, self.poses,
                 self._effector_pose() if self._robot_in_view else None,
                 lambda frame: frame.modal(heap.target), self.observer.needs_colour,
+                True, None if mounted else found,
             )  # fmt: skip
-            if self._finder is not None:
-                mask = self._found(step)
+            if found is not None and mounted:
+                mask = found
         return self.observer.observe(
             Scene(
                 depth=depth,
@@ -564,3 +577,11 @@ def choose_heaps(
     file = embedded_file(condition) if heaps is None else Path(heaps)
     heap_set, object_set = open_heaps(file, objects)
     return [heap_set.heaps[i] for i in heap_set.choose(split)], object_set, heap_set.camera
+
+
+def _levelled(depth: Array, masks: Array, camera: Camera) -> tuple[Array, Array]:
+    """Return an image held against its table; masks go on in holes, which stay holes."""
+    marked = masks + _HOLE * (depth == 0)
+    view = reproject(without_holes(depth), camera, camera, marked)
+    seen = np.asarray(view.mask)
+    return np.where(seen >= _HOLE, 0, view.depth), (seen % _HOLE).astype(masks.dtype)

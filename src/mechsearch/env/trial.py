@@ -79,6 +79,14 @@ def imageless(env: Env) -> Env:
     return type(env)(env.heaps, env.objects, config)
 
 
+def through(env: Env, sensor: str) -> Env:
+    """Return a copy of an environment that sees by another sensor, and takes its snapshots.
+
+    These need the number of an "episode" beside, on which errors depend.
+    """
+    return type(env)(env.heaps, env.objects, replace(env.config, sensor=sensor))
+
+
 def from_start(snapshot: dict[str, Array]) -> dict[str, Array]:
     """Return a snapshot as if the episode began there, with all its actions left."""
     spent = {name: snapshot[name] for name in _SPENT if name in snapshot}

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
+from mechsearch.observe.levelling import levelled
 from mechsearch.observe.observation import check_metres, measured_pixels
 from mechsearch.types import Array, Floats, MechSearchError
 
@@ -20,7 +21,7 @@ class Reprojection:
 
     Attributes:
         depth: (H, W) float32 [m], 0 in holes: where the other camera saw nothing.
-        mask: (H, W) bool, false in holes; None if none was given.
+        mask: (H, W) as given, false or 0 in holes; None if none was given.
         colour: (H, W, 3) uint8, 0 in holes; None if none was given.
     """
 
@@ -34,7 +35,8 @@ def reproject(
 ) -> Reprojection:
     """Return the images of any calibrated camera in the view that a policy knows.
 
-    In each pixel of the view is what is seen in its middle: the nearest surface there. Surfaces go
+    The image is held against the table that it shows; see `levelled`. In each pixel of the view is
+    then what is seen in its middle: the nearest surface there. Surfaces go
     on between pixels of the image, and end half way between them at an edge; mask and colour are
     those of the pixel next to the middle. Holes are left to `without_holes`, as of any camera.
 
@@ -42,7 +44,7 @@ def reproject(
         depth: (H, W), floating-point numbers [m]; holes as in `without_holes`, in any number.
         camera: Intrinsics and pose of that image.
         view: Of the policy, such as `camera.preset(policy.camera, policy.image_size)`.
-        mask: Pixels of the target (H, W) bool in the same image.
+        mask: Pixels of the target (H, W) bool in the same image, or whole numbers of several masks.
         colour: (H, W, 3) uint8, likewise.
 
     Raises:
@@ -74,7 +76,8 @@ def reproject(
     if not measured.any():
         raise MechSearchError("depth has no depth, 0 or not finite, in any of its pixels")
     check_metres(image[measured], "depth")
-    near, found = _into(np.where(measured, image, 0).astype(np.float32), camera, view)
+    image, camera = levelled(np.where(measured, image, 0).astype(np.float32), camera)
+    near, found = _into(image, camera, view)
     if not (found >= 0).any():
         raise MechSearchError(
             f"nothing that the camera at {_shown(place)} m sees is in the view of the policy's "
@@ -82,7 +85,7 @@ def reproject(
         )
     holes = found < 0
 
-    def taken(values: Any, kind: Any) -> Array | None:
+    def taken(values: Any, kind: Any = None) -> Array | None:
         if values is None:
             return None
         array = np.asarray(values, kind)
@@ -90,7 +93,7 @@ def reproject(
         picked[holes] = 0
         return picked
 
-    return Reprojection(near, taken(mask, np.bool_), taken(colour, np.uint8))
+    return Reprojection(near, taken(mask), taken(colour, np.uint8))
 
 
 def _into(depth: Array, camera: Camera, view: Camera) -> tuple[Array, NDArray[np.intp]]:

@@ -10,9 +10,18 @@ import numpy as np
 import torch
 
 from mechsearch.algorithm import Line, NamedTensors, RunConfig, TrainingSetup, at_least
-from mechsearch.env import HeapEnv, Rollout, TaskConfig, from_start, imageless, roll_out
+from mechsearch.env import (
+    HeapEnv,
+    Rollout,
+    TaskConfig,
+    from_start,
+    imageless,
+    roll_out,
+    through,
+)
 from mechsearch.files import record_from_json
 from mechsearch.files.tensors import Archive, filled, load_archive, save_archive, tensors_of
+from mechsearch.observe.sensor import sensor_named
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import (
     Continuation,
@@ -22,7 +31,7 @@ from mechsearch.push_values.value import (
     PushValueConfig,
     fit_pushes,
 )
-from mechsearch.pushes.push import PlannedPush, Push, Sight, view_pushes
+from mechsearch.pushes.push import PlannedPush, Push, Sight, look, view_pushes
 from mechsearch.types import ACTOR_KEYS, Array, MechSearchError
 
 EPISODES_FOLDER = "pushes"
@@ -48,6 +57,8 @@ class PushValuesConfig:
         ranked: Share of the tried pushes that are the best of what the policy judges, not random.
         searches: Whether a hidden target is looked for all over the heap, and not only where it was
             seen last.
+        also: Sensors by which each decision is seen too, such as "stereo": what a push brought is
+            learnt from these images as well. Without a simulator there are none.
         value: The network and its fit.
     """
 
@@ -57,6 +68,7 @@ class PushValuesConfig:
     explore: float = 0.1
     ranked: float = 0.5
     searches: bool = False
+    also: tuple[str, ...] = ()
     value: PushValueConfig = field(default_factory=PushValueConfig)
 
     def __post_init__(self) -> None:
@@ -66,6 +78,8 @@ class PushValuesConfig:
                 f"tries is {self.tries}, but {self.candidates} candidates are drawn; "
                 f"expected 1 to {self.candidates}"
             )
+        for name in self.also:
+            sensor_named(name)
         if not (0 <= self.explore <= 1 and 0 <= self.ranked <= 1):
             raise MechSearchError(
                 f"explore is {self.explore} and ranked {self.ranked}; expected shares in [0, 1]"
@@ -111,6 +125,7 @@ class PushValuesSession:
         self._run, self._folder = run, folder / EPISODES_FOLDER
         self._env, self._heaps = setup.env, setup.heaps
         self._twin = imageless(self._env)
+        self._also = [through(self._env, sensor) for sensor in self.config.also]
         self.counts = {"executed": 0, "simulated": 0, "episodes": 0, "fits": 0}
         self._rng = np.random.default_rng(run.seed)
         self._samples: list[PushSamples] = []
@@ -154,11 +169,13 @@ class PushValuesSession:
         samples, rollouts = [], [Rollout(obs)]
         while rollouts[-1].end is None:
             sight = self.policy.see(rollouts[-1].obs)
-            pushes = self._choose(sight)
-            tried = self._try(self._env.snapshot(), pushes[1:], sight)
+            pushes, snapshot = self._choose(sight), self._env.snapshot()
+            tried = self._try(snapshot, pushes[1:], sight)
+            others = self._see_again(snapshot) if sight.target.any() else []
             push = self.policy.begin(pushes[0], sight)
             rollouts.append(roll_out(self._env, rollouts[-1].obs, push.act))
-            samples.append(_samples(pushes, sight, [rollouts[-1], *tried]))
+            outcomes = [outcome_of(rollout) for rollout in (rollouts[-1], *tried)]
+            samples += [_samples(pushes, sight, other, outcomes) for other in (sight, *others)]
             self.counts["executed"] += len(rollouts[-1].actions)
         self.counts["episodes"] += 1
         return EpisodeOfPushes(
@@ -190,6 +207,12 @@ class PushValuesSession:
             rollouts.append(roll_out(self._twin, obs, PlannedPush(push, sight).act))
         self.counts["simulated"] += sum(len(rollout.actions) for rollout in rollouts)
         return rollouts
+
+    def _see_again(self, snapshot: dict[str, Array]) -> list[Sight]:
+        """Return a decision as the other sensors see it, where they see the target."""
+        number = {"episode": np.array(self.counts["episodes"])}
+        sights = [look(env.restore(snapshot | number), self.policy.camera) for env in self._also]
+        return [sight for sight in sights if sight.centre is not None]
 
     def remember(self, episode: EpisodeOfPushes) -> None:
         """Learn from an episode at the next fit."""
@@ -252,12 +275,15 @@ def outcome_of(rollout: Rollout) -> PushOutcome | None:
     )
 
 
-def _samples(pushes: Sequence[Push], sight: Sight, rollouts: Sequence[Rollout]) -> PushSamples:
-    learnt: list[tuple[Push, PushOutcome]] = []
-    for push, rollout in zip(pushes, rollouts, strict=True):
-        outcome = outcome_of(rollout)
-        if outcome is not None:
-            learnt.append((push, outcome))
+def _samples(
+    pushes: Sequence[Push], seen: Sight, sight: Sight, outcomes: Sequence[PushOutcome | None]
+) -> PushSamples:
+    """Return what is learnt of pushes, planned as it was seen, from how it is seen otherwise."""
+    learnt = [(p, outcome) for p, outcome in zip(pushes, outcomes, strict=True) if outcome]
+    if sight is not seen:
+        assert sight.centre is not None
+        assert seen.centre is not None
+        learnt = [(push.about(sight.centre - seen.centre), outcome) for push, outcome in learnt]
     views = view_pushes([push for push, _ in learnt], sight)
     return PushSamples.of(views, [outcome for _, outcome in learnt])
 

@@ -107,6 +107,24 @@ class Push:
         side = -1.0 if self.mirrored else 1.0
         return along, side * np.array([-along[1], along[0]])
 
+    def about(self, shift: Floats) -> "Push":
+        """Return the push that goes the same way about a target that is seen elsewhere.
+
+        A spiral's middle is only moved back sideways.
+
+        Args:
+            shift: From where the target was seen to where it is seen now (3,) [m].
+        """
+        along = _unit(self.direction)
+        ahead = float(shift[:2] @ along) if self.kind == "straight" else 0.0
+        return replace(
+            self,
+            lateral=self.lateral - float(shift[1] * along[0] - shift[0] * along[1]),
+            before=self.before + ahead,
+            after=self.after - ahead,
+            height=self.height - float(shift[2]),
+        )
+
     def path(self, centre: Floats) -> Floats:
         """Return its waypoints (N, 2) [m] about a target at `centre`."""
         return _paths([self], _Frames([self], centre))[2]
