@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from mechsearch.segmentation import fitting
 from mechsearch.segmentation import occlusion_training as training
 from mechsearch.segmentation.occlusion import make_estimator, silhouette_areas
 from mechsearch.segmentation.occlusion_training import OcclusionTrainConfig, train_occlusion
@@ -12,7 +13,7 @@ from mechsearch.types import MechSearchError
 
 @pytest.fixture(autouse=True)
 def often(monkeypatch):
-    monkeypatch.setattr(training, "_EVERY", 2)
+    monkeypatch.setattr(fitting, "_EVERY", 2)
     threads = torch.get_num_threads()
     yield
     torch.set_num_threads(threads)

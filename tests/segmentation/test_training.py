@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mechsearch.segmentation import training
+from mechsearch.segmentation import fitting, training
 from mechsearch.segmentation.network import load_segmentation_network
 from mechsearch.segmentation.training import SegmentTrainConfig, train_segmentation
 from mechsearch.types import MechSearchError
@@ -14,7 +14,7 @@ SMALL = {"batch": 2, "targets": 2, "views": 2, "validation": 0.3}
 
 @pytest.fixture(autouse=True)
 def often(monkeypatch):
-    monkeypatch.setattr(training, "_EVERY", 2)
+    monkeypatch.setattr(fitting, "_EVERY", 2)
     threads = torch.get_num_threads()
     yield
     torch.set_num_threads(threads)

@@ -21,7 +21,7 @@ from mechsearch.cli.command import (
     say_table,
     wrote,
 )
-from mechsearch.files import write_json, write_text
+from mechsearch.files import NETWORK_FILE, write_json, write_text
 from mechsearch.grasp.learning.labelling import (
     LabelConfig,
     TrialConfig,
@@ -33,7 +33,6 @@ from mechsearch.grasp.learning.labelling import (
 )
 from mechsearch.grasp.learning.metrics import NetworkComparison
 from mechsearch.grasp.learning.training import (
-    NETWORK_FILE,
     GraspTrainConfig,
     compare_networks,
     compare_quality_networks,

@@ -11,6 +11,7 @@ from mechsearch.files.layout import (
     INPUTS_FILE,
     JOURNAL_FILE,
     METRICS_FILE,
+    NETWORK_FILE,
     PLAN_FILE,
     POLICIES_FOLDER,
     POLICY_FILE,

@@ -27,6 +27,9 @@ POLICIES_FOLDER = "actors"
 POLICY_FILE = "actor.safetensors"
 """The last policy of a run."""
 
+NETWORK_FILE = "network.safetensors"
+"""What a training of a network for grasps or images writes at its end."""
+
 FINISHED_FILE = "finished.json"
 """Written last into the directory of a run that is over."""
 

@@ -32,8 +32,9 @@ def levelled(depth: Array, camera: Camera) -> tuple[Array, Camera]:
 
     A plane is fitted to what is near that height. Its distance tells by which factor depths are
     wrong, and its tilt how the camera is turned about axes along the table, which moves all that it
-    sees sideways as well. A turn about the vertical, and a shift along the table, do not show. Where the plane is off by no more than a millimetre, or no table is found, depth and
-    camera are returned as they are.
+    sees sideways as well. A turn about the vertical, and a shift along the table, do not show.
+    Where the plane is off by no more than a millimetre, or no table is found, depth and camera are
+    returned as they are.
 
     Args:
         depth: Along the optical axis (H, W) [m]; 0 or not finite in holes.

@@ -1,8 +1,7 @@
 """Train the network that estimates occlusion on images of heaps; a training can be resumed."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import minimize
 from torch.nn import functional
 
-from mechsearch.files import alone
-from mechsearch.files.tensors import resume, save_progress
+from mechsearch.files import NETWORK_FILE, alone
 from mechsearch.processes import Progress, silent
+from mechsearch.segmentation.fitting import FitConfig, fit_by_updates
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.occlusion import can_be_judged, patch_of, silhouette_areas
 from mechsearch.segmentation.occlusion_network import OcclusionNetwork, save_occlusion_network
@@ -22,38 +21,15 @@ from mechsearch.types import CALLED_UNCOVERED, Array, Floats, MechSearchError
 
 _KIND = "mechsearch occlusion training"
 
-_CHECKPOINT_FILE, _NETWORK_FILE = "checkpoint.safetensors", "network.safetensors"
-
-_EVERY, _OBJECTS = 500, 4
-"""Updates between checkpoints, and objects of an image that are learnt from."""
+_OBJECTS = 4
+"""Of an image, from which is learnt."""
 
 
 @dataclass(frozen=True)
-class OcclusionTrainConfig:
-    """How to train.
+class OcclusionTrainConfig(FitConfig):
+    """How to train; a batch is of objects."""
 
-    Attributes:
-        updates: In all.
-        batch: Objects in an update.
-        learning_rate: Of AdamW, at its highest; it rises linearly, then falls along a cosine.
-        weight_decay: Of all weights.
-        validation: Share of the heaps that no update sees; chances are calibrated on them.
-        seed: Of weights, order and all that is drawn.
-    """
-
-    updates: int = 6000
     batch: int = 192
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.01
-    validation: float = 0.05
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("updates", "batch", "learning_rate"):
-            if getattr(self, name) <= 0:
-                raise MechSearchError(f"{name} is {getattr(self, name)}; expected more than 0")
-        if not 0.0 < self.validation < 1.0:
-            raise MechSearchError(f"a validation share of {self.validation}; expected 0 to 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,35 +73,20 @@ def train_occlusion(
         areas = [silhouette_areas(views.mask, views.width) for views in seen.references]
         torch.manual_seed(config.seed)
         network = OcclusionNetwork().to(memory_format=torch.channels_last)
-        optimizer = torch.optim.AdamW(
-            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
-        identity = {**asdict(config), "images_seen": len(images)}
-        history = resume(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer)
         rng = np.random.default_rng([config.seed, 1])
         learnt, judged = (examples(images, own, areas, rng) for own in (learn, check))
         network.scale(torch.from_numpy(learnt.numbers))
-        for first in range(len(history) * _EVERY, config.updates, _EVERY):
-            end = min(first + _EVERY, config.updates)
-            loss = 0.0
-            network.train()
-            for update in range(first, end):
-                # Of its number alone, so that a resumed training is the same training.
-                torch.manual_seed(config.seed + update)
-                rise, share = min(1.0, (update + 1) / 200), update / config.updates
-                for group in optimizer.param_groups:
-                    group["lr"] = config.learning_rate * rise * (1 + math.cos(math.pi * share)) / 2
-                loss += _update(network, optimizer, learnt, config.batch)
-                label = f"updates, loss {loss / (update + 1 - first):.3f}"
-                progress(label, update + 1, config.updates)
-            found = scores(_asked(network, judged), judged.hidden)
-            history.append({"loss": loss / (end - first), **found})
-            save_progress(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer, history)
+        history = fit_by_updates(
+            network, config, folder, _KIND, {"images_seen": len(images)},
+            lambda optimizer, number: _update(network, optimizer, learnt, config, number),
+            lambda: scores(_asked(network, judged), judged.hidden),
+            progress,
+        )  # fmt: skip
         calibration = fitted_chance(
             _asked(network, judged)[:, 0], judged.hidden <= CALLED_UNCOVERED
         )
         about = {"validation": history[-1]}
-        save_occlusion_network(folder / _NETWORK_FILE, network, calibration, about)
+        save_occlusion_network(folder / NETWORK_FILE, network, calibration, about)
         return history
 
 
@@ -185,10 +146,13 @@ def _update(
     network: OcclusionNetwork,
     optimizer: torch.optim.Optimizer,
     learnt: Examples,
-    batch: int,
+    config: OcclusionTrainConfig,
+    number: int,
 ) -> float:
     """Make one update by examples that are drawn, turned and mirrored; return its loss."""
-    drawn = torch.randint(len(learnt.hidden), (batch,)).numpy()
+    # Of its number alone, so that a resumed training is the same training.
+    torch.manual_seed(config.seed + number)
+    drawn = torch.randint(len(learnt.hidden), (config.batch,)).numpy()
     parts = (learnt.patch[drawn], learnt.numbers[drawn], learnt.hidden[drawn])
     patch, numbers, hidden = (torch.from_numpy(part).float() for part in parts)
     turn, mirrored = torch.randint(4, (2,)).tolist()

@@ -2,10 +2,9 @@
 
 import copy
 import hashlib
-import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from scipy.optimize import minimize
 from torch import Tensor
 from torch.nn import functional
 
-from mechsearch.files import alone
-from mechsearch.files.tensors import resume, save_progress
+from mechsearch.files import NETWORK_FILE, alone
 from mechsearch.observe.masks import image_channels, mask_features, surest_parts
 from mechsearch.processes import Progress, silent
+from mechsearch.segmentation.fitting import FitConfig, fit_by_updates
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
@@ -29,53 +28,31 @@ from mechsearch.segmentation.network import (
     reference_channels,
     save_segmentation_network,
 )
-from mechsearch.types import Array, Floats, MechSearchError
+from mechsearch.types import Array, Floats
 
 _KIND = "mechsearch segmentation training"
-
-_CHECKPOINT_FILE, _NETWORK_FILE = "checkpoint.safetensors", "network.safetensors"
 
 _CROP, _LEAST = 80, 8
 """Side of what training sees of an image, and pixels of a target from which on it is one."""
 
-_EVERY, _CHECKED, _CALIBRATED = 500, 200, 800
-"""Updates between checkpoints; targets on which these are judged, and the last one calibrated."""
-
+_CHECKED, _CALIBRATED = 200, 800
+"""Targets on which checkpoints are judged, and the last one is calibrated."""
 
 _BOUNDS = tuple(np.arange(-1.0, 2.01, 0.25).tolist())
 """Logits from which pixels may be taken into a mask."""
 
 
 @dataclass(frozen=True)
-class SegmentTrainConfig:
-    """How to train.
+class SegmentTrainConfig(FitConfig):
+    """How to train; a batch is of images.
 
     Attributes:
-        updates: In all.
-        batch: Images in an update.
         targets: Looked for on each image.
         views: Reference views of each target.
-        learning_rate: Of AdamW, at its highest; it rises linearly, then falls along a cosine.
-        weight_decay: Of all weights.
-        validation: Share of the heaps that no update sees; the confidence is calibrated on them.
-        seed: Of weights, order and all that is drawn.
     """
 
-    updates: int = 6000
-    batch: int = 8
     targets: int = 6
     views: int = 6
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.01
-    validation: float = 0.05
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("updates", "batch", "targets", "views", "learning_rate"):
-            if getattr(self, name) <= 0:
-                raise MechSearchError(f"{name} is {getattr(self, name)}; expected more than 0")
-        if not 0.0 < self.validation < 1.0:
-            raise MechSearchError(f"a validation share of {self.validation}; expected 0 to 1")
 
 
 def train_segmentation(
@@ -110,31 +87,23 @@ def train_segmentation(
         torch.manual_seed(config.seed)
         network = SegmentationNetwork() if start is None else load_segmentation_network(start)[0]
         network = network.to(memory_format=torch.channels_last).requires_grad_(True)
-        optimizer = torch.optim.AdamW(
-            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
         begun = None if start is None else hashlib.sha256(start.read_bytes()).hexdigest()
-        identity = {**asdict(config), "images_seen": len(images), "start": begun}
-        history = resume(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer)
         views = _stacked(seen.references)
         held_out = replace(seen, images=images.where(check))
         wanted = partly_hidden(held_out.images, targets=False)
         few, many = (wanted[:: max(1, len(wanted) // n)] for n in (_CHECKED, _CALIBRATED))
-        for first in range(len(history) * _EVERY, config.updates, _EVERY):
-            end = min(first + _EVERY, config.updates)
-            loss = 0.0
-            network.train()
-            for update in range(first, end):
-                loss += _update(network, optimizer, images, learn, views, config, update)
-                label = f"updates, loss {loss / (update + 1 - first):.3f}"
-                progress(label, update + 1, config.updates)
-            found = found_by(NetworkSegmenter(network, (1.0, 0.0, 0.0)), held_out, few)
-            history.append({"loss": loss / (end - first), **found.summary})
-            save_progress(folder / _CHECKPOINT_FILE, _KIND, identity, network, optimizer, history)
+        history = fit_by_updates(
+            network, config, folder, _KIND, {"images_seen": len(images), "start": begun},
+            lambda optimizer, number: _update(
+                network, optimizer, images, learn, views, config, number
+            ),
+            lambda: found_by(NetworkSegmenter(network, (1.0, 0.0, 0.0)), held_out, few).summary,
+            progress,
+        )  # fmt: skip
         bound, confidence = calibrated(NetworkSegmenter(network, ()), held_out, many)
         network.raise_bound(bound)
         about = {"validation": history[-1]}
-        save_segmentation_network(folder / _NETWORK_FILE, network, confidence, about)
+        save_segmentation_network(folder / NETWORK_FILE, network, confidence, about)
         return history
 
 
@@ -191,9 +160,6 @@ def _update(
     """Make one update; return its loss."""
     # Of its number alone, so that a resumed training is the same training.
     rng = np.random.default_rng([config.seed, number])
-    rise, share = min(1.0, (number + 1) / 200), number / config.updates
-    for group in optimizer.param_groups:
-        group["lr"] = config.learning_rate * rise * (1 + math.cos(math.pi * share)) / 2
     seen, truths, numbers = [], [], []
     for index in rng.choice(learn, config.batch):
         crop, own, drawn = _example(images, int(index), len(references[0]), config.targets, rng)
