@@ -36,9 +36,9 @@ def reproject(
     """Return the images of any calibrated camera in the view that a policy knows.
 
     The image is held against the table that it shows; see `levelled`. In each pixel of the view is
-    then what is seen in its middle: the nearest surface there. Surfaces go
-    on between pixels of the image, and end half way between them at an edge; mask and colour are
-    those of the pixel next to the middle. Holes are left to `without_holes`, as of any camera.
+    then what is seen in its middle: the nearest surface there. Surfaces go on between pixels of the
+    image, and end half way between them at an edge; mask and colour are those of the pixel next to
+    the middle. Holes are left to `without_holes`, as of any camera.
 
     Args:
         depth: (H, W), floating-point numbers [m]; holes as in `without_holes`, in any number.
