@@ -7,18 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mechsearch.camera import mounted, preset
-from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.levelling import levelled
-from mechsearch.render.renderer import Renderer
 
 ABOVE, ASIDE = preset("overhead"), mounted("35 0.9 320x240", "overhead")
-
-
-@pytest.fixture(scope="module")
-def heap():
-    heap_set, objects = open_heaps(embedded_file("single"), "household")
-    heap = heap_set.heaps[0]
-    return heap, Renderer([objects.models[name] for name in heap.objects])
 
 
 def off(camera, rng, turn=0.3, shift=0.002):

@@ -4,20 +4,12 @@ import numpy as np
 import pytest
 
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.observation import without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Renderer
 from mechsearch.types import MechSearchError
 
 VIEW = preset("overhead")
-
-
-@pytest.fixture(scope="module")
-def heap():
-    heap_set, objects = open_heaps(embedded_file("single"), "household")
-    heap = heap_set.heaps[0]
-    return heap, Renderer([objects.models[name] for name in heap.objects])
 
 
 def camera(width, height, tilt, distance, around=0.7):

@@ -2,6 +2,7 @@
 
 from mechsearch.files.arrays import ARRAY_DAMAGE, read_arrays
 from mechsearch.files.layout import (
+    CHECKPOINT_FILE,
     CHECKPOINTS_FOLDER,
     CONFIG_FILE,
     CURVES_FILE,

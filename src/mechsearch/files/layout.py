@@ -27,6 +27,9 @@ POLICIES_FOLDER = "actors"
 POLICY_FILE = "actor.safetensors"
 """The last policy of a run."""
 
+CHECKPOINT_FILE = "checkpoint.safetensors"
+"""How far a training of a network for grasps or images is, to go on from."""
+
 NETWORK_FILE = "network.safetensors"
 """What a training of a network for grasps or images writes at its end."""
 

@@ -9,11 +9,10 @@ from typing import Any
 import torch
 from torch import nn
 
+from mechsearch.files import CHECKPOINT_FILE
 from mechsearch.files.tensors import resume, save_progress
 from mechsearch.processes import Progress
 from mechsearch.types import MechSearchError
-
-_CHECKPOINT_FILE = "checkpoint.safetensors"
 
 _EVERY, _RISING = 500, 200
 """Updates between checkpoints, and those in which the learning rate rises."""
@@ -78,7 +77,7 @@ def fit_by_updates(
     optimizer = torch.optim.AdamW(
         network.parameters(), config.learning_rate, weight_decay=config.weight_decay
     )
-    checkpoint, identity = folder / _CHECKPOINT_FILE, {**asdict(config), **others}
+    checkpoint, identity = folder / CHECKPOINT_FILE, {**asdict(config), **others}
     history = resume(checkpoint, kind, identity, network, optimizer)
     for first in range(len(history) * _EVERY, config.updates, _EVERY):
         end = min(first + _EVERY, config.updates)

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mechsearch.files import NETWORK_FILE, alone
+from mechsearch.files import CHECKPOINT_FILE, NETWORK_FILE, alone
 from mechsearch.files.tensors import resume, save_progress
 from mechsearch.grasp.learning.grasp_folder import Labelled
 from mechsearch.grasp.learning.labelling import Grasps, Trials
@@ -30,8 +30,6 @@ from mechsearch.processes import Progress, silent
 from mechsearch.types import Array, Floats, MechSearchError
 
 _KIND = "mechsearch grasp training"
-
-CHECKPOINT_FILE = "checkpoint.safetensors"
 
 _LOGGED = ("average_precision", "auc", "brier", "base_rate")
 
