@@ -192,6 +192,8 @@ def test_a_masks_border_moves_as_far_as_said(disc):
     moved = np.sqrt(np.array(areas) / np.pi) - 30
     assert moved.std() == pytest.approx(3.0, rel=0.15)
     assert abs(moved.mean()) < 0.6
+    inwards = Sensor(mask_inset=3.0, focal=OWN).segment(disc, VIEW, rng)
+    assert np.sqrt(inwards.sum() / np.pi) - 30 == pytest.approx(-3, abs=0.4)
     waves = Sensor(mask_waves=2.0, mask_part=8.0, focal=OWN).segment(disc, VIEW, rng)
     assert (waves & ~disc).any()
     assert (disc & ~waves).any()
@@ -273,11 +275,29 @@ def test_all_is_switched_off_by_default_and_used_by_a_preset():
     unused = [f.name for f in fields(Sensor) if all(
         getattr(sensor, f.name) == f.default for sensor in ONE_BY_ONE.values()
     )]  # fmt: skip
-    assert unused == []
+    assert unused == ["mask_inset"]
 
 
-def test_an_unknown_sensor_is_refused_by_name():
-    with pytest.raises(
-        MechSearchError, match="unknown sensor 'lidar'; choose one of perfect, ster"
-    ):
-        sensor_named("lidar")
+def test_a_sensor_is_otherwise_where_its_text_says_so():
+    changed = sensor_named("stereo camera_turn=1 mask_shift=0")
+    assert changed == replace(SENSORS["stereo"], camera_turn=1.0, mask_shift=0.0)
+    assert sensor_named("stereo") is SENSORS["stereo"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("lidar", "unknown sensor 'lidar'; choose one of perfect, ster"),
+        ("", "unknown sensor ''; choose one of perfect, ster"),
+        ("stereo turn=1", "otherwise in 'turn'; choose one of focal, baseline"),
+        ("stereo camera_turn=x", "camera_turn is 'x'; expected a number from 0$"),
+        ("stereo camera_turn=-1", "camera_turn is '-1'; expected a number from 0$"),
+        ("stereo camera_turn=nan", "camera_turn is 'nan'; expected a number from 0$"),
+        ("stereo camera_turn", "camera_turn is ''; expected a number from 0$"),
+        ("perfect edge_holes=2", "edge_holes is '2'; expected a number from 0 to 1"),
+        ("mixed camera_turn=1", "nothing of a mixture is otherwise"),
+    ],
+)
+def test_a_sensor_that_is_none_is_refused(text, said):
+    with pytest.raises(MechSearchError, match=said):
+        sensor_named(text)

@@ -173,3 +173,9 @@ def test_a_denser_bundle_of_rays_measures_the_same_share_more_finely(boxes):
     assert len(set(found)) == 3
     np.testing.assert_allclose(found, found[-1], atol=0.1)
     assert 0.1 < found[-1] < 0.9
+
+
+def test_a_process_may_see_more_objects_than_embree_has_scenes_for(make_box):
+    """It ends a process that holds a thousand of them."""
+    for number in range(1200):
+        body_of(make_box(f"box {number}", (0.1, 0.05, 0.03)))

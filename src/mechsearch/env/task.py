@@ -59,7 +59,8 @@ class TaskConfig:
         mounted: Where the camera really is that these images are reprojected from: degrees off the
             vertical, metres from the table's middle, and its image [px], such as "35 0.9 640x480";
             by default in that view itself.
-        sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh".
+        sensor: How well is seen: "perfect", "stereo", "time-of-flight" or "harsh", and what of it
+            is otherwise, such as "stereo camera_turn=1 mask_shift=0".
         segmenter: What finds the target's visible part: "true", the simulator itself; "shipped", a
             network; a network's file; or package.module:factory.
         stop: Who ends an episode because the target is uncovered: "true", the simulator; "shipped",

@@ -17,9 +17,9 @@ Where numbers come from, by the names used below:
 All other numbers are choices; `docs/sensors.md` says which.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from math import cos, radians, tan
+from math import cos, inf, radians, tan
 from statistics import NormalDist
 
 import numpy as np
@@ -76,7 +76,8 @@ class Sensor:
         camera_turn: Std of its rotation about each axis [degrees].
         effector_error: Std of the reported end effector along each axis [m], the same for all of an
             episode.
-        mask_shift: Std of how far a mask's border is moved outwards in an image [px].
+        mask_inset: How far a mask's border lies inwards in all images [px].
+        mask_shift: Std of how far it is moved outwards in an image [px].
         mask_waves: Std of how far it moves beside that from place to place [px].
         mask_missing: Chance that a part of a mask is missing.
         mask_false: Chance that a part beside it is wrongly in it.
@@ -106,6 +107,7 @@ class Sensor:
     camera_shift: float = 0.0
     camera_turn: float = 0.0
     effector_error: float = 0.0
+    mask_inset: float = 0.0
     mask_shift: float = 0.0
     mask_waves: float = 0.0
     mask_missing: float = 0.0
@@ -185,7 +187,8 @@ class Sensor:
         Returns:
             The like; the very same array where masks have no errors.
         """
-        if not (self.mask_shift or self.mask_waves or self.mask_missing or self.mask_false):
+        errors = self.mask_inset, self.mask_shift, self.mask_waves, self.mask_missing
+        if not (any(errors) or self.mask_false):
             return labels
         numbers = labels.astype(np.uint8)
         found, scale = np.zeros_like(numbers), camera.fx / self.focal
@@ -237,7 +240,8 @@ class Sensor:
         # How far inside the border a pixel's centre is; negative outside.
         depth = np.where(mask, inside - 0.5, 0.5 - outside)
         waves = self.mask_waves * _field(rng, mask.shape, part) if self.mask_waves else 0.0
-        moved: Array = depth + scale * (self.mask_shift * rng.standard_normal() + waves) > 0
+        outwards = self.mask_shift * rng.standard_normal() - self.mask_inset + waves
+        moved: Array = depth + scale * outwards > 0
         pixels = np.argwhere(mask)
         if rng.random() < self.mask_missing:
             moved &= ~_disc(mask.shape, rng.choice(pixels), part, rng)
@@ -450,12 +454,44 @@ narrow view, unbinned), `harsh` (a stereo camera, badly tuned and calibrated), a
 these, another in each episode."""
 
 
-def sensor_named(name: str) -> Sensor | SensorMixture:
-    """Return a sensor by its name.
+def sensor_named(text: str) -> Sensor | SensorMixture:
+    """Return a sensor by its name, and what of it is otherwise, such as "stereo camera_turn=1".
 
     Raises:
-        MechSearchError: If there is none of that name.
+        MechSearchError: If there is none of that name, or it has no such attribute or value.
     """
+    name, *changes = text.split() or [""]
     if name not in SENSORS:
-        raise MechSearchError(f"unknown sensor {name!r}; choose one of {', '.join(SENSORS)}")
-    return SENSORS[name]
+        raise MechSearchError(
+            f"unknown sensor {name!r}; choose one of {', '.join(SENSORS)}, and what of it is "
+            'otherwise, such as "stereo camera_turn=1"'
+        )
+    sensor = SENSORS[name]
+    if not changes:
+        return sensor
+    if not isinstance(sensor, Sensor):
+        raise MechSearchError(f"sensor {text!r}: nothing of a mixture is otherwise")
+    known = [field.name for field in fields(Sensor)]
+    changed: dict[str, float] = {}
+    for change in changes:
+        attribute, _, value = change.partition("=")
+        if attribute not in known:
+            raise MechSearchError(
+                f"sensor {text!r} is otherwise in {attribute!r}; choose one of {', '.join(known)}"
+            )
+        try:
+            changed[attribute] = float(value)
+        except ValueError:
+            changed[attribute] = -1.0
+        most = 1.0 if attribute in _SHARES else inf
+        if not 0 <= changed[attribute] <= most:
+            raise MechSearchError(
+                f"sensor {text!r}: {attribute} is {value!r}; expected a number from 0"
+                + (" to 1" if most == 1 else "")
+            )
+    return replace(sensor, **changed)
+
+
+_SHARES = (
+    "edge_holes", "flying", "dark_holes", "glossy", "mask_missing", "mask_false",
+)  # fmt: skip

@@ -4,7 +4,7 @@ Occlusion is the share of an object's whole projection that other objects hide.
 """
 
 from collections.abc import Sequence
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -26,6 +26,10 @@ _ENDS, _BEYOND = np.array([1.0, -1.0, 1.0, -1.0]), np.array([0.0, 1.0, 0.0, 1.0]
 
 _NEAREST = 0.01
 """Objects that come nearer to the camera's plane [m] may appear anywhere."""
+
+
+_SCENES = 512
+"""Scenes kept in a process; with some thousand of them Embree ends it."""
 
 
 PixelBlock = list[int]
@@ -89,9 +93,9 @@ class Body:
         return np.asarray(np.clip(base * shade[:, None], 0, 255), np.uint8)
 
 
-@cache
+@lru_cache(maxsize=_SCENES)
 def body_of(model: ObjectModel) -> Body:
-    """Return a model's scene, built once in each process."""
+    """Return a model's scene, kept for the next time."""
     return Body(model)
 
 
