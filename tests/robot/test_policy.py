@@ -99,8 +99,8 @@ def changed(folder, place, **fields):
 
 
 def test_what_another_version_wrote_is_refused(exported_pushes, tmp_path):
-    other = changed(exported_pushes, tmp_path / "other", format=2, mechsearch="9.1")
-    with pytest.raises(MechSearchError, match=r"format 2, written by mechsearch 9\.1"):
+    other = changed(exported_pushes, tmp_path / "other", format=9, mechsearch="9.1")
+    with pytest.raises(MechSearchError, match=r"format 9, written by mechsearch 9\.1"):
         open_policy(other)
     kind = changed(exported_pushes, tmp_path / "kind", kind="grasps")
     with pytest.raises(MechSearchError, match="'grasps'; choose one of pushes, actions"):

@@ -140,7 +140,7 @@ def test_a_network_of_ones_own_is_exported(tmp_path):
 def test_what_is_no_grasp_network_is_refused(exported_grasps, exported_pushes, tmp_path, capsys):
     described = json.loads((exported_grasps / "jaws-85" / "grasps.json").read_text())
     for number, (changes, words) in enumerate([
-        ({"format": 2, "mechsearch": "9.1"}, r"format 2, written by mechsearch 9\.1"),
+        ({"format": 9, "mechsearch": "9.1"}, r"format 9, written by mechsearch 9\.1"),
         ({"kind": "pushes"}, "'pushes'; choose one of jaws, suction"),
         ({"network": "0" * 64}, "not the network"),
         ({"gripper": {"name": "jaws-85", "opening": "wide"}}, "opening is 'wide'"),

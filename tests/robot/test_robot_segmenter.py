@@ -78,7 +78,7 @@ def test_images_that_do_not_belong_together_are_refused(exported_segmenter, fram
 def test_what_another_version_wrote_is_refused(exported_segmenter, exported_pushes, tmp_path):
     described = json.loads((exported_segmenter / "segmenter.json").read_text())
     for number, (changes, words) in enumerate([
-        ({"format": 2, "mechsearch": "9.1"}, r"format 2, written by mechsearch 9\.1"),
+        ({"format": 9, "mechsearch": "9.1"}, r"format 9, written by mechsearch 9\.1"),
         ({"kind": "grasps"}, "'grasps'; choose one of masks"),
         ({"network": "0" * 64}, "not the network"),
     ]):  # fmt: skip

@@ -1,6 +1,7 @@
 """What is believed of a target by images, and how an episode ends by it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,14 +12,16 @@ from mechsearch.evaluation.rollout import evaluate, replay_all
 from mechsearch.heaps.dataset import embedded_file
 from mechsearch.render.renderer import Renderer
 from mechsearch.segmentation import segmenter
+from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.occlusion import (
     Occlusion,
+    can_be_judged,
     make_estimator,
     patch_of,
     silhouette_areas,
 )
 from mechsearch.segmentation.reference import render_references
-from mechsearch.segmentation.segmenter import Judge
+from mechsearch.segmentation.segmenter import SURE, Judge
 from mechsearch.types import MechSearchError
 
 FIXED = {"heap": 0, "fixed_start": True}
@@ -49,32 +52,36 @@ def ends(env, actions):
     return [env.step(IDLE)[4]["end"] for _ in range(actions)]
 
 
-def test_three_sure_looks_one_after_another_end_an_episode(covered, boxes, monkeypatch):
-    env, _ = judged(covered, boxes, monkeypatch, 0.1, 0.99, 0.99, 0.81, 0.82, 0.99, 0.9)
-    assert ends(env, 6) == [None] * 6
+def test_an_average_chance_that_is_high_ends_an_episode(covered, boxes, monkeypatch):
+    # 0.35 of each look on: 0.035, 0.373, 0.592, 0.735, 0.828.
+    env, _ = judged(covered, boxes, monkeypatch, 0.1, *[1.0] * 4)
+    assert ends(env, 4) == [None] * 4
     _, _, terminated, truncated, info = env.step(IDLE)
     assert (info["end"], terminated, truncated) == ("stopped", True, False)
     with pytest.raises(MechSearchError, match="over"):
         env.step(IDLE)
+    # One doubtful look between costs more looks: 0.592, 0.385, 0.6, 0.74, 0.831.
+    env, _ = judged(covered, boxes, monkeypatch, 0.1, 1, 1, 0, *[1.0] * 3)
+    assert ends(env, 7) == [None] * 6 + ["stopped"]
     env, _ = judged(covered, boxes, monkeypatch, max_actions=3)
     assert ends(env, 3) == [None, None, "action limit"]
 
 
 def test_what_looks_uncovered_from_the_first_on_was_not_uncovered(covered, boxes, monkeypatch):
-    env, _ = judged(covered, boxes, monkeypatch, *[0.99] * 5, 0.1, *[0.99] * 3)
-    assert ends(env, 9) == [None] * 8 + ["stopped"]
+    env, _ = judged(covered, boxes, monkeypatch, *[0.99] * 9, 0.1, *[1.0] * 4)
+    assert ends(env, 14) == [None] * 13 + ["stopped"]
 
 
-def test_a_snapshot_knows_that_the_last_looks_were_sure(covered, boxes, monkeypatch):
-    env, says = judged(covered, boxes, monkeypatch, 0.1, 0.99, 0.99, 0.99)
-    assert ends(env, 3) == [None] * 3
+def test_a_snapshot_knows_how_sure_the_last_looks_were(covered, boxes, monkeypatch):
+    env, says = judged(covered, boxes, monkeypatch, 0.1, *[1.0] * 4)
+    assert ends(env, 4) == [None] * 4
     snapshot = env.snapshot()
     assert ends(env, 1) == ["stopped"]
     env.restore(snapshot)
-    says.chances = [0.99]
+    says.chances = [1.0]
     assert ends(env, 1) == ["stopped"]
     env.reset(options=FIXED)
-    says.chances = [0.99]
+    says.chances = [1.0]
     assert ends(env, 1) == [None]
     # A trial in the imagination ends where the simulator says so, and asks for no image.
     assert imageless(env).config.stop == "true"
@@ -153,18 +160,25 @@ def test_of_a_tiny_mask_or_an_image_of_holes_nothing_is_believed(make_box, monke
     assert judge.estimate(box, 0 * depth, mask) == hidden
 
 
-def test_the_shipped_network_tells_bare_from_covered(covered, boxes):
+def test_the_shipped_network_tells_bare_from_covered_objects():
     pytest.importorskip("torch")
-    bare = replace(covered, objects=("cube", "small0"), poses=covered.poses[[0, 2]])
-    found, judge = [], Judge("shipped", "overhead")
-    for heap in (covered, bare):
-        models = [boxes.models[name] for name in heap.objects]
-        frame = Renderer(models).frame(judge.camera, heap.poses)
-        found.append(judge.estimate(models[0], frame.depth, frame.modal(0)))
-    assert found[0].uncovered < 0.2
-    assert found[0].hidden > 0.2
-    assert found[1].uncovered > 0.8
-    assert found[1].hidden < 0.1
+    config = ImageConfig(1, "all", 12, ("perfect",), randomised=False, also=(), variants=0)
+    seen, judge, rows = see_heaps(Path("household-single"), "", config), make_estimator(), []
+    areas = [areas_of(references) for references in seen.references]
+    for index, hidden in enumerate(seen.images.hidden):
+        _, depth, camera = seen.images.seen(index, CAMERA.width)
+        shown = seen.images.shown(index, CAMERA.width)
+        for place in np.unique(shown[shown > 0]) - 1:
+            mask = shown == place + 1
+            if can_be_judged(depth, mask):
+                number = seen.images.objects[index, place]
+                found = judge.estimate(*patch_of(depth, camera, mask, areas[number]))
+                rows.append((hidden[place], found.hidden, found.uncovered))
+    hidden, estimated, chance = np.array(rows).T
+    assert len(rows) > 80
+    assert np.abs(hidden - estimated).mean() < 0.07
+    assert (hidden <= 0.05)[chance >= SURE].mean() > 0.95
+    assert (chance >= SURE)[hidden <= 0.05].mean() > 0.6
 
 
 class Turns:
@@ -181,7 +195,7 @@ def test_an_evaluation_that_stops_itself_is_verified_and_judged_by_the_truth(mon
     monkeypatch.setattr(segmenter, "make_estimator", lambda path: Turns())
     monkeypatch.setattr(segmenter, "can_be_judged", lambda depth, mask: True)
     monkeypatch.setattr(segmenter, "patch_of", lambda *seen: (None, None))
-    monkeypatch.setattr(Judge, "looks", 1)
+    monkeypatch.setattr(segmenter, "NEWEST", 1.0)
     found = evaluate("idle", limit=2, task=TaskConfig(stop="shipped", max_actions=4))
     assert found.header["env"]["stop"] == "shipped"
     assert "stop true -> shipped" in found.header["task_differs"]

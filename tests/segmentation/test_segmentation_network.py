@@ -11,7 +11,7 @@ import torch
 
 import mechsearch.segmentation.network as own
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.observe.masks import image_channels, mask_features, surest_parts
+from mechsearch.observe.masks import image_channels, logits_by, mask_features, surest_parts
 from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
@@ -19,6 +19,7 @@ from mechsearch.segmentation.network import (
     SegmentationNetwork,
     load_segmentation_network,
     network_segmenter,
+    reference_channels,
     save_segmentation_network,
 )
 from mechsearch.segmentation.reference import render_references
@@ -68,21 +69,69 @@ def test_images_of_other_sizes_give_masks_of_theirs(fresh, scene, make_box):
     segmenter.look_for(render_references(make_box("box", (0.1, 0.05, 0.03))))
     rgb, depth, camera = scene
     larger = (rgb.repeat(3, 0).repeat(3, 1), depth.repeat(3, 0).repeat(3, 1), camera.resized(384))
-    np.testing.assert_allclose(segmenter.logits(*larger), segmenter.logits(*scene), atol=2e-2)
-    (mask, sure), (large, alike) = segmenter.segment(*scene), segmenter.segment(*larger)
-    assert (large[1::3, 1::3] == mask).mean() > 0.99
-    # Confidence is of the object's size, not of the camera's resolution.
-    assert alike == pytest.approx(sure, abs=1e-3)
-    wide = segmenter.segment(rgb[:64], depth[:64], camera.resized(64, 128))
-    assert wide[0].shape == (64, 128)
+    wide = (rgb[:64], depth[:64], camera.resized(64, 128))
+    for (colours, depths, view), looked in ((larger, 256), (scene, 128), (wide, 128)):
+        assert segmenter.logits(colours, depths, view).shape[1] == looked
+        assert segmenter.segment(colours, depths, view)[0].shape == depths.shape
+
+
+def test_a_segmenter_asks_a_network_that_normalises_as_the_one_it_is_given(scene, make_box):
+    torch.manual_seed(1)
+    network = SegmentationNetwork().eval()
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.running_mean.normal_(std=0.1)
+            module.running_var.uniform_(0.5, 2)
+    views = render_references(make_box("box", (0.1, 0.05, 0.03)))
+    segmenter = NetworkSegmenter(network, (1.0, 0.0, 0.0))
+    segmenter.look_for(views)
+    with torch.inference_mode():
+        arrays = (views.rgb, views.mask, views.width)
+        target = network.look(reference_channels(*map(torch.from_numpy, arrays))[None])
+        image = torch.from_numpy(image_channels(*scene))[None]
+        own = network.decode(network.encode(image), target, torch.zeros(1, dtype=torch.long))[0]
+    np.testing.assert_allclose(segmenter.logits(*scene), own.numpy(), atol=1e-3)
+    assert any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
+
+
+def bright(image):
+    """Return logits of what is bright."""
+    return np.where(image[0] > 0.3, 4.0, -4.0).astype(np.float32)
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (100, 130), (253, 251)])
+def test_a_larger_image_is_looked_at_closer_where_the_target_is_likeliest(corner):
+    seen = []
+
+    def network(image):
+        seen.append(image)
+        return bright(image)
+
+    row, column = corner
+    rgb = np.zeros((256, 256, 3), np.uint8)
+    rgb[row : row + 3, column : column + 3] = 255
+    depth = np.full((256, 256), 1.0, np.float32)
+    logits = logits_by(network, 128, 256, rgb, depth, preset("overhead", 256))
+    found = logits > 0
+    np.testing.assert_array_equal(found[rgb[..., 0] > 0], True)
+    # Pixels of the second look are half as large, and it shows the bright spot whole.
+    whole, close = seen
+    np.testing.assert_allclose(close[5], whole[5] - np.log(2), atol=1e-5)
+    assert (close[0] > 0).sum() == (rgb[..., 0] > 0).sum()
+
+
+def test_an_image_that_is_hardly_larger_is_looked_at_once():
+    depth = np.full((160, 160), 1.0, np.float32)
+    rgb = np.zeros((160, 160, 3), np.uint8)
+    assert logits_by(bright, 128, 256, rgb, depth, preset("overhead", 160)).shape == (128, 128)
 
 
 def test_confidence_is_the_logistic_of_its_features(fresh):
-    logits = np.full((8, 8), -30.0)
-    assert mask_features(logits).tolist() == [-6.0, 0.0]
+    logits = np.full((128, 8), -30.0)
+    assert mask_features(logits, logits > 0).tolist() == [-6.0, 0.0]
     logits[:2, :2] = np.log(3)
     # Four pixels of chance 3 / 4 and nothing elsewhere: expected IoU 3 / 4.
-    np.testing.assert_allclose(mask_features(logits), [np.log(3), np.log(4)])
+    np.testing.assert_allclose(mask_features(logits, logits > 0), [np.log(3), np.log(4)])
 
 
 def test_parts_of_a_mask_that_are_clearly_less_sure_than_another_are_not_in_it():

@@ -103,6 +103,15 @@ def test_a_policy_sees_the_target_where_a_segmenter_of_ones_own_does(covered, co
         np.testing.assert_array_equal(true[key], found[key])
 
 
+def test_a_segmenter_looks_at_the_mounted_cameras_own_image(covered, coloured, own):
+    """What it finds there is reprojected with the image, as true masks are."""
+    aside = {"mounted": "35 0.9 320x240", "image_size": 128}
+    true = observed(covered, coloured, **aside)
+    found = observed(covered, coloured, segmenter=f"{own}:Reddish", **aside)
+    for key in true:
+        np.testing.assert_array_equal(true[key], found[key])
+
+
 def test_what_a_segmenter_is_unsure_of_is_not_seen(covered, coloured, own):
     obs = observed(covered, coloured, segmenter=f"{own}:Unsure")
     assert not obs["position_image"].any()
@@ -157,7 +166,7 @@ def test_what_is_no_image_or_no_mask_is_refused(found, rgb, depth, words):
         ("ownsegmenter:Half", "a Half without segment"),
         ("ownsegmenter:Nothing", "has no function or class 'Nothing'; it has Follow, Half"),
         ("nowhere:make", "cannot be imported"),
-        ("missing.safetensors", "no mechsearch segmentation network at missing.safetensors"),
+        ("missing.safetensors", "no mechsearch segmentation network of two looks at missing.safetensors"),
     ],
 )
 def test_what_is_no_segmenter_is_refused(own, name, words):
@@ -175,13 +184,13 @@ def test_a_task_refuses_it_too_and_retrieval_has_the_simulators_alone():
 
 def test_a_finder_is_told_anew_when_the_target_is_another(own, coloured):
     finder = TargetFinder(f"{own}:Reddish", "overhead")
-    red, blue = (
-        np.full((128, 128, 3), colour, np.uint8) for colour in [(220, 20, 20), (20, 20, 220)]
-    )
+    shape = (finder.camera.height, finder.camera.width)
+    red, blue = (np.full((*shape, 3), c, np.uint8) for c in [(220, 20, 20), (20, 20, 220)])
+    depth = np.ones(shape, np.float32)
     for name, right, wrong in (("cube", red, blue), ("lid", blue, red), ("cube", red, blue)):
         target = coloured.models[name]
-        assert finder.visible(target, right, DEPTH, 64).all()
-        assert not finder.visible(target, wrong, DEPTH, 64).any()
+        assert finder.visible(target, right, depth, finder.camera).all()
+        assert not finder.visible(target, wrong, depth, finder.camera).any()
 
 
 def test_a_mask_of_another_size_covers_half_of_each_pixel():

@@ -19,6 +19,7 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others, without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
+from mechsearch.segmentation.segmenter import resized
 from mechsearch.sim import HeapWorld
 from mechsearch.types import (
     ACTION_LENGTH,
@@ -240,6 +241,33 @@ class HeapScene(Generic[W]):
         camera = preset(self._config.camera, size)
         return self.renderer.frame(camera, self.poses, self._effector_pose(), True).rgb
 
+    def measure(
+        self,
+        camera: Camera,
+        step: int,
+        poses: Floats,
+        effector: Floats | None,
+        labels: Callable[[Frame], Array],
+        colour: bool = False,
+    ) -> tuple[Array, Array, Array | None]:
+        """Return depth, 0 in holes, masks and colours of the task's sensor, where it is.
+
+        Args:
+            camera: Where the sensor is believed to be, unless it is mounted elsewhere.
+            step: Number of the episode's actions so far.
+            poses: Of all objects (N, 7).
+            effector: Pose of the end effector (7,); None leaves it out of view.
+            labels: Returns the true masks in a frame; see `Sensor.segment`.
+            colour: Whether colours are asked for.
+        """
+        sensing = self._sensing
+        seen = sensing.camera(self._config.mount or camera)
+        frame = self.renderer.frame(seen, poses, effector, colour or sensing.reads_colour)
+        depth, masks = frame.depth, labels(frame)
+        if not sensing.is_perfect:
+            depth, masks = sensing.take(step, seen, depth, masks, frame.ids, frame.rgb)
+        return depth, masks, frame.rgb
+
     def sense(
         self,
         camera: Camera,
@@ -251,48 +279,38 @@ class HeapScene(Generic[W]):
         level: bool = False,
         found: Array | None = None,
     ) -> tuple[Array, Array, Array | None]:
-        """Return depth, 0 in holes, masks and colours as the task's sensor gives them.
-
-        What is seen from a mounted camera is reprojected.
+        """Return what is measured as it is seen in a view: reprojected, if the sensor is mounted.
 
         Args:
-            camera: Of the images; where the sensor is believed to be, unless it is mounted.
-            step: Number of the episode's actions so far.
-            poses: Of all objects (N, 7).
-            effector: Pose of the end effector (7,); None leaves it out of view.
-            labels: Returns the true masks in a frame; see `Sensor.segment`.
-            colour: Whether colours are asked for; without a mounted camera they stay as they are.
+            camera: The view; this and what follows as in `measure`, where colours that are not
+                asked for are reprojected all the same.
+            step: Number of actions.
+            poses: Of objects.
+            effector: Pose of the end effector.
+            labels: Returns true masks.
+            colour: Whether colours are asked for.
             level: Whether an image with errors is held against the table, as `reproject` does.
-            found: Masks (H, W) of a segmenter on the sensor's image, in place of the true ones.
+            found: Masks of a segmenter on the sensor's image, in place of the true ones.
         """
-        sensing, mount = self._sensing, self._config.mount
-        seen = sensing.camera(mount or camera)
-        frame = self.renderer.frame(seen, poses, effector, colour or sensing.reads_colour)
-        depth, masks = frame.depth, labels(frame)
-        if not sensing.is_perfect:
-            depth, masks = sensing.take(step, seen, depth, masks, frame.ids, frame.rgb)
-        masks = masks if found is None else found
+        depth, masks, rgb = self.measure(camera, step, poses, effector, labels, colour)
+        mount, masks = self._config.mount, masks if found is None else found
         if mount is not None:
-            view = reproject(depth, mount, camera, masks, frame.rgb)
+            view = reproject(depth, mount, camera, masks, rgb)
             return view.depth, np.asarray(view.mask), view.colour
-        if level and not sensing.is_perfect:
+        if level and not self._sensing.is_perfect:
             depth, masks = _levelled(depth, masks, camera)
-        return depth, masks, frame.rgb
+        return depth, masks, rgb
 
     def observe(self, step: int) -> dict[str, Array]:
         """Return a fresh observation, after so many of the episode's actions."""
         heap, depth, mask, rgb = self.heap, None, None, None
         if self.observer.needs_images:
-            found = None if self._finder is None else self._found(step)
-            mounted = self._config.mount is not None
+            camera = preset(self._config.camera, self._config.image_size)
             depth, mask, rgb = self.sense(
-                preset(self._config.camera, self._config.image_size), step, self.poses,
-                self._effector_pose() if self._robot_in_view else None,
-                lambda frame: frame.modal(heap.target), self.observer.needs_colour,
-                True, None if mounted else found,
+                camera, step, self.poses, self._effector_in_view(),
+                lambda frame: frame.modal(heap.target), self.observer.needs_colour, True,
+                self._found(step, camera.width),
             )  # fmt: skip
-            if found is not None and mounted:
-                mask = found
         return self.observer.observe(
             Scene(
                 depth=depth,
@@ -307,32 +325,36 @@ class HeapScene(Generic[W]):
             )
         )
 
-    def is_sure(self, step: int) -> bool:
-        """Return whether the target looks uncovered on an image, after so many actions."""
+    def chance_uncovered(self, step: int) -> float:
+        """Return with what chance an image shows the target uncovered, after so many actions."""
         judge, target = self.judge, self.heap.target
         assert judge is not None
-        depth, mask, rgb = self.sense(
-            judge.camera, step, self.poses, self._effector_pose() if self._robot_in_view else None,
-            lambda frame: frame.modal(target), self._finder is not None,
+        depth, mask, _ = self.sense(
+            judge.camera, step, self.poses, self._effector_in_view(),
+            lambda frame: frame.modal(target), found=self._found(step, judge.camera.width),
         )  # fmt: skip
         model = self._objects.models[self.heap.objects[target]]
-        if self._finder is not None:
-            mask = self._finder.visible(model, rgb, depth, judge.camera.width)
-        return judge.is_sure(model, depth, mask)
+        return judge.estimate(model, depth, mask).uncovered
 
-    def _found(self, step: int) -> Array:
-        """Return where a segmenter sees the target (H, W), after so many actions.
+    def _found(self, step: int, size: int) -> Array | None:
+        """Return where a segmenter sees the target on the sensor's image, if there is one.
 
-        It looks at an image of its own size, of the same sensor.
+        It looks at a finer image than a policy. What it finds is brought to that one's size [px],
+        unless the sensor is mounted: then it is reprojected with the image.
         """
-        heap, finder = self.heap, self._finder
-        assert finder is not None
-        depth, _, rgb = self.sense(
-            finder.camera, step, self.poses, self._effector_pose() if self._robot_in_view else None,
+        heap, finder, mount = self.heap, self._finder, self._config.mount
+        if finder is None:
+            return None
+        depth, _, rgb = self.measure(
+            finder.camera, step, self.poses, self._effector_in_view(),
             lambda frame: np.zeros(frame.depth.shape, np.bool_), True,
         )  # fmt: skip
         target = self._objects.models[heap.objects[heap.target]]
-        return finder.visible(target, rgb, depth, self._config.image_size)
+        mask = finder.visible(target, rgb, depth, mount or finder.camera)
+        return mask if mount else resized(mask, size)
+
+    def _effector_in_view(self) -> Floats | None:
+        return self._effector_pose() if self._robot_in_view else None
 
     def snapshot(self) -> dict[str, Array]:
         """Return all that comes of it depends on, as arrays."""
@@ -345,7 +367,7 @@ class HeapScene(Generic[W]):
             "occlusion": np.array(self.occlusion),
         } | ({} if self._config.sees.is_perfect else {"episode": np.array(self._episode)})
 
-    def restore(self, snapshot: Mapping[str, Array], counts: Sequence[str]) -> list[int]:
+    def restore(self, snapshot: Mapping[str, Array], counts: Sequence[str]) -> list[Any]:
         """Return to a snapshot, exactly.
 
         Args:
@@ -385,7 +407,7 @@ class HeapScene(Generic[W]):
         self.occlusion = float(saved["occlusion"])
         self.moved = np.zeros(size)
         self._begin(int(saved["episode"]) if drawn else 0)
-        return [int(saved[name]) for name in counts]
+        return [saved[name].item() for name in counts]
 
     def _opened(self, index: int) -> tuple[W, Renderer]:
         """Return a heap's physics and renderer, which are kept for some heaps."""

@@ -1,12 +1,13 @@
 """What a mask network reads of an RGB-D image, and when the mask that it finds counts."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import label, maximum
+from scipy.ndimage import label, uniform_filter
 
 from mechsearch.camera import Camera
 from mechsearch.types import Array, Floats, MechSearchError
@@ -19,6 +20,15 @@ LEAST_CONFIDENCE = 0.5
 
 _LEAST_PIXELS = 4
 """Of a mask; a smaller one counts as empty too."""
+
+_LARGER = 1.5
+"""How many times as large as the grid an image is that is looked at closer."""
+
+_SIDE = 128
+"""Of an image in whose pixels the size of a mask counts."""
+
+_LIKELY, _CLOSER = 9, 0.7
+"""Side of the window in which a target is likeliest [px]; what the closer look counts of 1."""
 
 _LESS_SURE = 1.0
 """Logit by which the surest pixel of one part of a mask may be less sure than another part's."""
@@ -49,32 +59,84 @@ def image_channels(rgb: Array, depth: Array, camera: Camera) -> Array:
     return out
 
 
+def at_size(rgb: Array, depth: Array, camera: Camera, longer: int) -> tuple[Array, Array, Camera]:
+    """Return an image at another size: colours are averaged, depths are picked.
+
+    Args:
+        rgb: Colours; these and what follows as in `image_channels`.
+        depth: Depth.
+        camera: Camera.
+        longer: Longer side that the image is to have [px]; pixels stay as square as they are.
+    """
+    if longer == max(camera.height, camera.width):
+        return rgb, depth, camera
+    scale = longer / max(camera.height, camera.width)
+    height, width = (max(round(side * scale), 1) for side in (camera.height, camera.width))
+    colours = np.asarray(Image.fromarray(rgb).resize((width, height), Image.Resampling.BOX))
+    picked = np.ix_(picked_rows(camera.height, height), picked_rows(camera.width, width))
+    return colours, depth[picked], camera.resized(height, width)
+
+
+def picked_rows(old: int, new: int) -> NDArray[np.intp]:
+    """Return which rows (new,) of `old` an image of `new` rows has."""
+    return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
+
+
 def logits_by(
-    network: Callable[[Array], Array], side: int, rgb: Array, depth: Array, camera: Camera
+    network: Callable[[Array], Array],
+    side: int,
+    close: int,
+    rgb: Array,
+    depth: Array,
+    camera: Camera,
 ) -> Array:
-    """Return the logits (h, w) of a mask on a network's own grid, whose longer side is G.
+    """Return the logits (h, w) of a mask, looked for on the whole image and then closer.
+
+    The first look has the whole image on the network's grid. Where the target is likeliest there, a
+    part as large as the grid is looked at in an image that is larger, and counts for more. The
+    longer side of what is returned is that of the larger image, or of the grid where the image
+    itself is hardly larger.
 
     Args:
         network: Returns logits (G, G) of channels (6, G, G).
         side: Of its grid, G [px].
+        close: Longer side of the image that is looked at closer [px]; smaller ones stay so.
         rgb: Colours; these and what follows as in `image_channels`.
         depth: Depth.
         camera: Camera.
     """
-    if (camera.height, camera.width) == (side, side):
-        return network(image_channels(rgb, depth, camera))
-    # The longer side fills the grid, so that pixels stay square.
-    scale = side / max(camera.height, camera.width)
-    height, width = (max(round(side * scale), 1) for side in (camera.height, camera.width))
-    rows, columns = (
-        ((np.arange(new) + 0.5) * old / new).astype(np.intp)
-        for new, old in ((height, camera.height), (width, camera.width))
+    whole = _looked(network, side, *at_size(rgb, depth, camera, side))
+    longer = min(close, max(camera.height, camera.width))
+    if longer < _LARGER * side:
+        return whole
+    colours, depths, finer = at_size(rgb, depth, camera, longer)
+    logits = np.array(
+        Image.fromarray(whole).resize((finer.width, finer.height), Image.Resampling.BILINEAR)
     )
-    colours = np.asarray(Image.fromarray(rgb).resize((width, height), Image.Resampling.BOX))
-    small = camera.resized(height, width)
-    seen = np.zeros((CHANNELS, side, side), np.float32)
-    seen[:, :height, :width] = image_channels(colours, depth[np.ix_(rows, columns)], small)
-    return network(seen)[:height, :width]
+    likely = uniform_filter(1 / (1 + np.exp(-logits)), _LIKELY)
+    middle = np.unravel_index(int(likely.argmax()), likely.shape)
+    top, left = (
+        int(np.clip(at - side // 2, 0, max(size - side, 0)))
+        for at, size in zip(middle, logits.shape, strict=True)
+    )
+    part = slice(top, top + side), slice(left, left + side)
+    height, width = depths[part].shape
+    near = replace(finer, height=height, width=width, cx=finer.cx - left, cy=finer.cy - top)
+    found = _looked(network, side, colours[part], depths[part], near)
+    logits[part] += _CLOSER * (found - logits[part])
+    return logits
+
+
+def _looked(
+    network: Callable[[Array], Array], side: int, rgb: Array, depth: Array, camera: Camera
+) -> Array:
+    """Return the logits (H, W) on an image that the grid has room for."""
+    seen = image_channels(rgb, depth, camera)
+    if depth.shape == (side, side):
+        return network(seen)
+    framed = np.zeros((CHANNELS, side, side), np.float32)
+    framed[:, : camera.height, : camera.width] = seen
+    return network(framed)[: camera.height, : camera.width]
 
 
 def surest_parts(logits: Array) -> NDArray[np.bool_]:
@@ -85,19 +147,28 @@ def surest_parts(logits: Array) -> NDArray[np.bool_]:
     """
     inside = logits > 0
     parts, count = label(inside, np.ones((3, 3)))
-    most = maximum(logits, parts, np.arange(count + 1))
+    most = np.full(count + 1, -np.inf)
+    np.maximum.at(most, parts[inside], logits[inside])
     return np.asarray(inside & (most >= most.max() - _LESS_SURE)[parts])
 
 
-def mask_features(logits: Array) -> Floats:
-    """Return from what a mask's confidence is computed (2,): expected IoU and size, as logits."""
+def mask_features(logits: Array, mask: NDArray[np.bool_]) -> Floats:
+    """Return from what a mask's confidence is computed (2,).
+
+    They are the logit of the expected IoU, and the logarithm of the size in pixels of an image
+    whose longer side is 128.
+
+    Args:
+        logits: Of a mask (H, W).
+        mask: Its `surest_parts`.
+    """
     chance = 1 / (1 + np.exp(-np.clip(logits, -30, 30).astype(np.float64)))
-    inside = surest_parts(logits)
-    size = int(inside.sum())
+    size = int(mask.sum())
     if not size:
         return np.array([-6.0, 0.0])
-    share = np.clip(chance[inside].sum() / (size + chance[~inside].sum()), 1e-3, 1 - 1e-3)
-    return np.array([np.log(share / (1 - share)), np.log(size)])
+    share = np.clip(chance[mask].sum() / (size + chance[~mask].sum()), 1e-3, 1 - 1e-3)
+    pixel = _SIDE / max(logits.shape)
+    return np.array([np.log(share / (1 - share)), np.log(size * pixel**2)])
 
 
 def mask_of(
@@ -110,12 +181,13 @@ def mask_of(
         weights: Of `mask_features` and 1 in the confidence, (3,).
         camera: Of the image, which may be larger or smaller.
     """
-    features = (*mask_features(logits).tolist(), 1.0)
+    mask = surest_parts(logits)
+    features = (*mask_features(logits, mask).tolist(), 1.0)
     chance = sum(weight * value for weight, value in zip(weights, features, strict=True))
     if logits.shape != (size := (camera.height, camera.width)):
         finer = Image.fromarray(logits).resize(size[::-1], Image.Resampling.BILINEAR)
-        logits = np.asarray(finer)
-    return surest_parts(logits), 1 / (1 + exp(-min(max(chance, -30.0), 30.0)))
+        mask = surest_parts(np.asarray(finer))
+    return mask, 1 / (1 + exp(-min(max(chance, -30.0), 30.0)))
 
 
 def check_seen(rgb: Array, depth: Array, camera: Camera) -> None:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from mechsearch.files import read_json
 from mechsearch.types import Array, MechSearchError, check_extra
 
-FORMAT = 1
+FORMAT = 2
 """Of what is exported; others are refused."""
 
 OPSET = 18

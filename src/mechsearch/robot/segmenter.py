@@ -21,15 +21,17 @@ KINDS = ("masks",)
 class SegmenterDescription(Exported):
     """What stands beside the network, whose kind is "masks".
 
-    Images may have any size; it looks on a grid of `image_size`. Its input is what
-    `masks.image_channels` returns.
+    Images may have any size; it looks on a grid of `image_size`, see `masks.logits_by`. Its input
+    is what `masks.image_channels` returns.
 
     Attributes:
+        close: Longer side of the image that it looks at closer [px].
         confidence: Weights (3,) of `masks.mask_of`.
         target: What it looks for: the views' file, or an object's name.
         views: How many views of it are in the network.
     """
 
+    close: int
     confidence: Sequence[float]
     target: str
     views: int
@@ -73,7 +75,8 @@ class ExportedSegmenter:
                 alone.
         """
         check_seen(rgb, depth, camera)
-        logits = logits_by(self._logits, self.description.image_size, rgb, depth, camera)
+        sides = self.description.image_size, self.description.close
+        logits = logits_by(self._logits, *sides, rgb, depth, camera)
         mask, confidence = mask_of(logits, self.description.confidence, camera)
         return counted(mask, confidence), confidence
 

@@ -19,11 +19,12 @@ from mechsearch.camera import Camera, look_at, preset
 from mechsearch.files import alone, read_arrays, read_record, write_record, write_whole
 from mechsearch.heaps.dataset import Heap, HeapSet, check_objects, load_heaps, object_set
 from mechsearch.objects.model import ObjectModel
+from mechsearch.observe.masks import at_size, picked_rows
 from mechsearch.observe.sensor import sensor_named
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.render.renderer import BACKGROUND, Renderer
 from mechsearch.segmentation.light import direction, in_other_light
-from mechsearch.segmentation.reference import GRID, References, render_references
+from mechsearch.segmentation.reference import CLOSE, References, render_references
 from mechsearch.segmentation.variants import variant
 from mechsearch.sim import Pusher, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError
@@ -32,7 +33,7 @@ MOST_OBJECTS = 24
 """In an image."""
 
 _MANIFEST_FILE, _LIBRARY_FILE = "images.json", "references.npz"
-_FORMAT, _PURPOSE = 2, "manifest of segmentation images"
+_FORMAT, _PURPOSE = 3, "manifest of segmentation images"
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Images:
     """Images (n,), and what they show.
 
     Attributes:
-        rgb: Colours (n, G, G, 3) uint8; G is `GRID`.
+        rgb: Colours (n, G, G, 3) uint8; G is `CLOSE`.
         depth: As measured (n, G, G) uint16 [mm]; 0 in holes.
         ids: What each pixel shows (n, G, G) uint8: 0 no object, else its place in `objects` and 1.
         camera: Where it is believed to be (n, 20): fx, fy, cx, cy [px], then its pose.
@@ -127,11 +128,18 @@ class Images:
             raise MechSearchError(f"images of {len(heaps)} heap; expected at least 2")
         return learn, check
 
-    def seen(self, index: int) -> tuple[Array, Array, Camera]:
-        """Return an image's colours, depth (G, G) [m], 0 in holes, and camera."""
+    def seen(self, index: int, side: int = CLOSE) -> tuple[Array, Array, Camera]:
+        """Return an image's colours, depth [m], 0 in holes, and camera, at a size [px]."""
         fx, fy, cx, cy, *pose = self.camera[index].astype(np.float64).tolist()
         depth = self.depth[index].astype(np.float32) / 1000
-        return self.rgb[index], depth, Camera(GRID, GRID, fx, fy, cx, cy, tuple(pose))
+        camera = Camera(CLOSE, CLOSE, fx, fy, cx, cy, tuple(pose))
+        return at_size(self.rgb[index], depth, camera, side)
+
+    def shown(self, index: int, side: int) -> NDArray[np.uint8]:
+        """Return what each pixel shows, see `ids`, at a size [px]."""
+        picked = picked_rows(CLOSE, side)
+        shown: NDArray[np.uint8] = self.ids[index][np.ix_(picked, picked)]
+        return shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,7 +398,7 @@ def _image_of(
     drawn, poses, target = _drawn(heap, objects, library, config, rng)
     models = [library.models[index] for index in drawn]
     randomised = config.randomised and rng.random() < 0.8
-    camera = _camera(rng) if randomised else preset("overhead", GRID)
+    camera = _camera(rng) if randomised else preset("overhead", CLOSE)
     renderer = Renderer(models, pusher_model(Pusher()))
     if randomised:
         renderer.light = direction(rng, 1.2)
@@ -465,5 +473,5 @@ def _camera(rng: np.random.Generator) -> Camera:
     beside = np.array([np.cos(around), np.sin(around), 0.0])
     eye = middle + away * (np.sin(tilt) * beside + np.array([0.0, 0.0, np.cos(tilt)]))
     up = -beside if tilt > np.deg2rad(10) else np.array([rng.normal(0, 0.1), 1.0, 0.0])
-    focal, centre = 184.0 * rng.uniform(0.95, 1.08), (GRID - 1) / 2
-    return Camera(GRID, GRID, focal, focal, centre, centre, look_at(eye, middle, up))
+    focal, centre = 368.0 * rng.uniform(0.95, 1.08), (CLOSE - 1) / 2
+    return Camera(CLOSE, CLOSE, focal, focal, centre, centre, look_at(eye, middle, up))

@@ -15,7 +15,7 @@ from mechsearch.types import Array, Floats, MechSearchError
 PARTLY = (0.1, 0.9)
 """Share of a target that is hidden where its mask is judged."""
 
-_LEAST = 8
+_LEAST = 32
 """Pixels that a target must show."""
 
 

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 COLOUR_CHANNELS = 6
 """Channels of `colours_of`."""
@@ -34,13 +35,18 @@ class Convolution(nn.Module):
     ) -> None:
         super().__init__()
         self.conv = nn.Conv2d(before, after, side, stride, side // 2, bias=False)
-        self.norm = nn.BatchNorm2d(after)
+        self.norm: nn.BatchNorm2d | nn.Identity = nn.BatchNorm2d(after)
         self.act = act
 
     def forward(self, x: Tensor) -> Tensor:
         """Return features (B, after, H / stride, W / stride) of those given (B, before, H, W)."""
         x = self.norm(self.conv(x))
         return torch.relu(x) if self.act else x
+
+    def fold(self) -> None:
+        """Have the convolution normalise as well; nothing is learnt afterwards."""
+        if isinstance(self.norm, nn.BatchNorm2d):
+            self.conv, self.norm = fuse_conv_bn_eval(self.conv, self.norm), nn.Identity()
 
 
 def colours_of(seen: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """The segmentation network: pixels of an RGB-D image held against reference views of the target."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,10 @@ from mechsearch.segmentation.layers import (
     colours_of,
     doubled,
 )
-from mechsearch.segmentation.reference import GRID, References
+from mechsearch.segmentation.reference import CLOSE, GRID, References
 from mechsearch.types import Array, MechSearchError
 
-_KIND = "mechsearch segmentation network"
+_KIND = "mechsearch segmentation network of two looks"
 
 _SHIPPED = Path(__file__).with_name("segmentation.safetensors")
 
@@ -212,7 +213,10 @@ class NetworkSegmenter:
 
     def __init__(self, network: SegmentationNetwork, confidence: Sequence[float]) -> None:
         """Take a network, and the weights (3,) of `mask_features` and 1 in its confidence."""
-        self._network = network.eval()
+        self._network = copy.deepcopy(network).eval().requires_grad_(False)
+        for module in self._network.modules():
+            if isinstance(module, Convolution):
+                module.fold()
         self._weights = tuple(confidence)
         self._target: list[Tensor] | None = None
 
@@ -238,10 +242,10 @@ class NetworkSegmenter:
         return mask_of(self.logits(rgb, depth, camera), self._weights, camera)
 
     def logits(self, rgb: Array, depth: Array, camera: Camera) -> Array:
-        """Return the logits of a mask on the network's own grid; see `masks.logits_by`."""
+        """Return the logits of a mask; see `masks.logits_by`."""
         if self._target is None:
             raise MechSearchError("a segmenter without reference views; call look_for first")
-        return logits_by(self._found, GRID, rgb, depth, camera)
+        return logits_by(self._found, GRID, CLOSE, rgb, depth, camera)
 
     def _found(self, seen: Array) -> Array:
         assert self._target is not None

@@ -13,8 +13,8 @@ from mechsearch.objects.model import ObjectModel
 from mechsearch.render.visibility import NO_HIT, body_of
 from mechsearch.types import Array, Floats, MechSearchError
 
-GRID = 128
-"""Side of the images on which objects are looked for [px]."""
+GRID, CLOSE = 128, 256
+"""Sides of the images on which objects are looked for: at first, and when looking closer [px]."""
 
 SIDE = 40
 """Of a reference view, which is as large as the object in it [px]."""

@@ -18,7 +18,7 @@ from mechsearch.segmentation.occlusion import (
     patch_of,
     silhouette_areas,
 )
-from mechsearch.segmentation.reference import GRID, References, render_references
+from mechsearch.segmentation.reference import CLOSE, GRID, References, render_references
 from mechsearch.types import Array, MechSearchError, real_array, shown
 
 TRUE, SHIPPED = "true", "shipped"
@@ -27,8 +27,9 @@ TRUE, SHIPPED = "true", "shipped"
 NEVER = "never"
 """Name of what ends no episode."""
 
-LEAST_CHANCE, LOOKS = 0.82, 3
-"""Chance of being uncovered with which an episode is ended, in so many looks one after another."""
+SURE, NEWEST, NEVER_UNSURE = 0.8, 0.35, -1.0
+"""Average chance of being uncovered with which an episode is ended, the share that the newest look
+has in it, and what it is before the first look that is not sure."""
 
 _NETWORK = "mechsearch.segmentation.network:network_segmenter"
 _SUFFIX = ".safetensors"
@@ -133,7 +134,7 @@ class TargetFinder:
     """Finds objects of a simulation as a robot would: by a segmenter, told what they look like.
 
     Attributes:
-        camera: Of the images that it looks at.
+        camera: Of the images that it looks at, unless the task's camera is mounted.
     """
 
     def __init__(self, name: str, camera: str) -> None:
@@ -146,22 +147,21 @@ class TargetFinder:
         Raises:
             MechSearchError: If there is no such segmenter or view.
         """
-        self.camera = preset(camera, GRID)
+        self.camera = preset(camera, CLOSE)
         self._segmenter = make_segmenter(name)
         self._target: ObjectModel | None = None
 
     def visible(
-        self, target: ObjectModel, rgb: Array | None, depth: Array, size: int
+        self, target: ObjectModel, rgb: Array | None, depth: Array, camera: Camera
     ) -> NDArray[np.bool_]:
-        """Return where an object is seen, at another size [px]; see `visible_target`."""
+        """Return where an object is seen (H, W); see `visible_target`."""
         if target is not self._target:
             references = render_references(target)
             called(
                 self._segmenter.look_for, "segmenter", type(self._segmenter).__name__, references
             )
             self._target = target
-        colours = np.asarray(rgb)
-        return resized(visible_target(self._segmenter, colours, depth, self.camera)[0], size)
+        return visible_target(self._segmenter, np.asarray(rgb), depth, camera)[0]
 
 
 def check_stop(name: str) -> str:
@@ -183,11 +183,7 @@ class Judge:
 
     Attributes:
         camera: Of the images that it looks at.
-        looks: One after another in which an object has to look uncovered before an episode ends,
-            after one in which it did not: what it looks like from the first on was not uncovered.
     """
-
-    looks = LOOKS
 
     def __init__(self, name: str, camera: str) -> None:
         """Read a network that estimates occlusion.
@@ -222,9 +218,15 @@ class Judge:
             return Occlusion(1.0, 0.0)
         return self._estimator.estimate(*patch_of(depth, self.camera, mask, self._areas))
 
-    def is_sure(self, target: ObjectModel, depth: Array, mask: Array) -> bool:
-        """Return whether an object looks uncovered; see `estimate`."""
-        return self.estimate(target, depth, mask).uncovered >= LEAST_CHANCE
+
+def averaged(before: float, chance: float) -> float:
+    """Return the running average of chances of being uncovered after one more look.
+
+    What looks uncovered from the first on was not uncovered: looks count from one on that does not.
+    """
+    if before == NEVER_UNSURE and chance >= SURE:
+        return NEVER_UNSURE
+    return (1 - NEWEST) * max(before, 0.0) + NEWEST * chance
 
 
 def resized(mask: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:

@@ -28,12 +28,16 @@ from mechsearch.segmentation.network import (
     reference_channels,
     save_segmentation_network,
 )
+from mechsearch.segmentation.reference import CLOSE, GRID
 from mechsearch.types import Array, Floats
 
 _KIND = "mechsearch segmentation training"
 
 _CROP, _LEAST = 80, 8
 """Side of what training sees of an image, and pixels of a target from which on it is one."""
+
+_SIZES = 0.85, 1.05
+"""Least and greatest size of an image, beside those at which targets are looked for."""
 
 _CHECKED, _CALIBRATED = 200, 800
 """Targets on which checkpoints are judged, and the last one is calibrated."""
@@ -131,7 +135,9 @@ def calibrated(
 
     bound = max(_BOUNDS, key=lambda b: float(scores(b).mean()))
     wrong = np.where(scores(bound)[:, 1] > 0, -1.0, 1.0)
-    x = np.array([[*mask_features(logits - bound), 1.0] for logits, _ in found])
+    x = np.array([
+        [*mask_features(own := logits - bound, surest_parts(own)), 1.0] for logits, _ in found
+    ])  # fmt: skip
 
     def loss(weights: Floats) -> float:
         return float(np.logaddexp(0, wrong * (x @ weights)).mean() + 1e-4 * (weights**2).sum())
@@ -209,7 +215,9 @@ def _example(
     images: Images, index: int, objects: int, targets: int, rng: np.random.Generator
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return what is seen about some object (6, C, C), true masks (T, C, C), and whose they are."""
-    ids, hidden = images.ids[index], images.hidden[index]
+    # As at the first look, or as when looking closer; other cameras have other pixels.
+    side = min(round(rng.choice([GRID, CLOSE]) * rng.uniform(*_SIZES)), CLOSE)
+    ids, hidden = images.shown(index, side), images.hidden[index]
     middle = np.argwhere(ids > 0)
     centre = middle[rng.integers(len(middle))] if len(middle) else np.array([len(ids) // 2] * 2)
     corner = centre - _CROP // 2 + rng.integers(-16, 17, 2)
@@ -233,7 +241,9 @@ def _example(
         masks.append(np.zeros((_CROP, _CROP), np.bool_))
         drawn.append(int(number))
     turn = int(rng.integers(4))
-    crop = np.rot90(image_channels(*images.seen(index))[(slice(None), *where)], turn, (1, 2))
+    rgb, depth, camera = images.seen(index, side)
+    near = replace(camera, width=_CROP, height=_CROP, cx=camera.cx - left, cy=camera.cy - top)
+    crop = np.rot90(image_channels(rgb[where], depth[where], near), turn, (1, 2))
     return crop.copy(), np.rot90(np.stack(masks), turn, (1, 2)).copy(), np.array(drawn, np.int64)
 
 

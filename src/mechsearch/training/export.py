@@ -19,7 +19,7 @@ from mechsearch.robot import policy as exported
 from mechsearch.robot import segmenter as masks
 from mechsearch.robot.network import FORMAT, OPSET, Exported, places
 from mechsearch.segmentation.network import segmentation_card
-from mechsearch.segmentation.reference import GRID, References
+from mechsearch.segmentation.reference import CLOSE, GRID, References
 from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter
 from mechsearch.types import MechSearchError, check_extra
 
@@ -91,8 +91,8 @@ def export_segmenter(
     shape = inputs["image"]["shape"]
     return _exported(
         masks.SegmenterDescription, "segmenter", folder, network, (torch.zeros(shape),),
-        inputs, outputs, name=spec, kind="masks", image_size=GRID, confidence=confidence,
-        target=target, views=len(references.width),
+        inputs, outputs, name=spec, kind="masks", image_size=GRID, close=CLOSE,
+        confidence=confidence, target=target, views=len(references.width),
         card=segmentation_card(None if spec == SHIPPED else Path(spec)),
     )  # fmt: skip
 
