@@ -11,7 +11,7 @@ import torch
 
 import mechsearch.segmentation.network as own
 from mechsearch.camera import Camera, look_at, preset
-from mechsearch.observe.masks import image_channels, logits_by, mask_features, surest_parts
+from mechsearch.observe.masks import at_size, image_channels, logits_by, mask_features, surest_parts
 from mechsearch.segmentation.images import ImageConfig, see_heaps
 from mechsearch.segmentation.judging import found_by, partly_hidden
 from mechsearch.segmentation.network import (
@@ -70,7 +70,7 @@ def test_images_of_other_sizes_give_masks_of_theirs(fresh, scene, make_box):
     rgb, depth, camera = scene
     larger = (rgb.repeat(3, 0).repeat(3, 1), depth.repeat(3, 0).repeat(3, 1), camera.resized(384))
     wide = (rgb[:64], depth[:64], camera.resized(64, 128))
-    for (colours, depths, view), looked in ((larger, 256), (scene, 128), (wide, 128)):
+    for (colours, depths, view), looked in ((larger, 256), (scene, 112), (wide, 112)):
         assert segmenter.logits(colours, depths, view).shape[1] == looked
         assert segmenter.segment(colours, depths, view)[0].shape == depths.shape
 
@@ -88,7 +88,7 @@ def test_a_segmenter_asks_a_network_that_normalises_as_the_one_it_is_given(scene
     with torch.inference_mode():
         arrays = (views.rgb, views.mask, views.width)
         target = network.look(reference_channels(*map(torch.from_numpy, arrays))[None])
-        image = torch.from_numpy(image_channels(*scene))[None]
+        image = torch.from_numpy(image_channels(*at_size(*scene, 112)))[None]
         own = network.decode(network.encode(image), target, torch.zeros(1, dtype=torch.long))[0]
     np.testing.assert_allclose(segmenter.logits(*scene), own.numpy(), atol=1e-3)
     assert any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
@@ -111,7 +111,7 @@ def test_a_larger_image_is_looked_at_closer_where_the_target_is_likeliest(corner
     rgb = np.zeros((256, 256, 3), np.uint8)
     rgb[row : row + 3, column : column + 3] = 255
     depth = np.full((256, 256), 1.0, np.float32)
-    logits = logits_by(network, 128, 256, rgb, depth, preset("overhead", 256))
+    logits = logits_by(network, (128, 128), 256, rgb, depth, preset("overhead", 256))
     found = logits > 0
     np.testing.assert_array_equal(found[rgb[..., 0] > 0], True)
     # Pixels of the second look are half as large, and it shows the bright spot whole.
@@ -123,7 +123,10 @@ def test_a_larger_image_is_looked_at_closer_where_the_target_is_likeliest(corner
 def test_an_image_that_is_hardly_larger_is_looked_at_once():
     depth = np.full((160, 160), 1.0, np.float32)
     rgb = np.zeros((160, 160, 3), np.uint8)
-    assert logits_by(bright, 128, 256, rgb, depth, preset("overhead", 160)).shape == (128, 128)
+    assert logits_by(bright, (112, 128), 256, rgb, depth, preset("overhead", 160)).shape == (
+        112,
+        112,
+    )
 
 
 def test_confidence_is_the_logistic_of_its_features(fresh):

@@ -166,7 +166,10 @@ def test_what_is_no_image_or_no_mask_is_refused(found, rgb, depth, words):
         ("ownsegmenter:Half", "a Half without segment"),
         ("ownsegmenter:Nothing", "has no function or class 'Nothing'; it has Follow, Half"),
         ("nowhere:make", "cannot be imported"),
-        ("missing.safetensors", "no mechsearch segmentation network of two looks at missing.safetensors"),
+        (
+            "missing.safetensors",
+            "no mechsearch segmentation network of two looks at missing.safetensors",
+        ),
     ],
 )
 def test_what_is_no_segmenter_is_refused(own, name, words):

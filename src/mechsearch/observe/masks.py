@@ -22,7 +22,7 @@ _LEAST_PIXELS = 4
 """Of a mask; a smaller one counts as empty too."""
 
 _LARGER = 1.5
-"""How many times as large as the grid an image is that is looked at closer."""
+"""How many times as large as the first look an image is that is looked at closer."""
 
 _SIDE = 128
 """Of an image in whose pixels the size of a mask counts."""
@@ -84,7 +84,7 @@ def picked_rows(old: int, new: int) -> NDArray[np.intp]:
 
 def logits_by(
     network: Callable[[Array], Array],
-    side: int,
+    looks: Sequence[int],
     close: int,
     rgb: Array,
     depth: Array,
@@ -92,22 +92,22 @@ def logits_by(
 ) -> Array:
     """Return the logits (h, w) of a mask, looked for on the whole image and then closer.
 
-    The first look has the whole image on the network's grid. Where the target is likeliest there, a
-    part as large as the grid is looked at in an image that is larger, and counts for more. The
-    longer side of what is returned is that of the larger image, or of the grid where the image
-    itself is hardly larger.
+    At the first look the whole image is brought to one size. Where the target is likeliest there, a
+    part of an image that is larger is looked at, and counts for more. The longer side of what is
+    returned is that of the larger image, or of the first look where the image is hardly larger.
 
     Args:
         network: Returns logits (G, G) of channels (6, G, G).
-        side: Of its grid, G [px].
-        close: Longer side of the image that is looked at closer [px]; smaller ones stay so.
+        looks: G of the first look and of the part [px].
+        close: Longer side of the image that the part is of [px]; smaller ones stay so.
         rgb: Colours; these and what follows as in `image_channels`.
         depth: Depth.
         camera: Camera.
     """
-    whole = _looked(network, side, *at_size(rgb, depth, camera, side))
+    first, side = looks
+    whole = _looked(network, first, *at_size(rgb, depth, camera, first))
     longer = min(close, max(camera.height, camera.width))
-    if longer < _LARGER * side:
+    if longer < _LARGER * first:
         return whole
     colours, depths, finer = at_size(rgb, depth, camera, longer)
     logits = np.array(

@@ -21,27 +21,27 @@ KINDS = ("masks",)
 class SegmenterDescription(Exported):
     """What stands beside the network, whose kind is "masks".
 
-    Images may have any size; it looks on a grid of `image_size`, see `masks.logits_by`. Its input
-    is what `masks.image_channels` returns.
+    Images may have any size; they are looked at as `masks.logits_by` does, closer at one of
+    `image_size`. The network's input is what `masks.image_channels` returns.
 
     Attributes:
-        close: Longer side of the image that it looks at closer [px].
+        looks: Sides of the network's input at either look [px].
         confidence: Weights (3,) of `masks.mask_of`.
         target: What it looks for: the views' file, or an object's name.
         views: How many views of it are in the network.
     """
 
-    close: int
+    looks: Sequence[int]
     confidence: Sequence[float]
     target: str
     views: int
 
 
-def described_masks(side: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the inputs and outputs of a mask network on a grid (side, side)."""
+def described_masks() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the inputs and outputs of a mask network; N is any multiple of 16."""
     unit = "colours less 0.5 (3), dm above the table, 1 in holes, log of a pixel's side by 5.4 mm"
-    inputs = tensors({"image": ((1, CHANNELS, side, side), "float32", unit)})
-    return inputs, tensors({"logits": ((1, side, side), "float32", "logit of the target")})
+    inputs = tensors({"image": ((1, CHANNELS, "N", "N"), "float32", unit)})
+    return inputs, tensors({"logits": ((1, "N", "N"), "float32", "logit of the target")})
 
 
 def open_segmenter(folder: str | Path) -> "ExportedSegmenter":
@@ -75,8 +75,9 @@ class ExportedSegmenter:
                 alone.
         """
         check_seen(rgb, depth, camera)
-        sides = self.description.image_size, self.description.close
-        logits = logits_by(self._logits, *sides, rgb, depth, camera)
+        described = self.description
+        looks, close = described.looks, described.image_size
+        logits = logits_by(self._logits, looks, close, rgb, depth, camera)
         mask, confidence = mask_of(logits, self.description.confidence, camera)
         return counted(mask, confidence), confidence
 

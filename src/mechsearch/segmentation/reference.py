@@ -14,7 +14,11 @@ from mechsearch.render.visibility import NO_HIT, body_of
 from mechsearch.types import Array, Floats, MechSearchError
 
 GRID, CLOSE = 128, 256
-"""Sides of the images on which objects are looked for: at first, and when looking closer [px]."""
+"""Sides of the images from which is learnt to find objects at first, and closer [px]."""
+
+LOOKS = 112, 128
+"""Sides of the whole image at the first look, and of the part of an image of `CLOSE` px that is
+then looked at closer [px]; more of either takes more time and finds hardly more."""
 
 SIDE = 40
 """Of a reference view, which is as large as the object in it [px]."""

@@ -19,7 +19,7 @@ from mechsearch.robot import policy as exported
 from mechsearch.robot import segmenter as masks
 from mechsearch.robot.network import FORMAT, OPSET, Exported, places
 from mechsearch.segmentation.network import segmentation_card
-from mechsearch.segmentation.reference import CLOSE, GRID, References
+from mechsearch.segmentation.reference import CLOSE, LOOKS, References
 from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter
 from mechsearch.types import MechSearchError, check_extra
 
@@ -87,11 +87,12 @@ def export_segmenter(
             f"expected {SHIPPED}, or a network's file"
         )
     network, confidence = segmenter.to_export(references)
-    inputs, outputs = masks.described_masks(GRID)
-    shape = inputs["image"]["shape"]
+    inputs, outputs = masks.described_masks()
+    side = 16 * torch.export.Dim("side", min=2, max=64)
+    example = torch.zeros(1, masks.CHANNELS, LOOKS[1], LOOKS[1])
     return _exported(
-        masks.SegmenterDescription, "segmenter", folder, network, (torch.zeros(shape),),
-        inputs, outputs, name=spec, kind="masks", image_size=GRID, close=CLOSE,
+        masks.SegmenterDescription, "segmenter", folder, network, (example,), inputs, outputs,
+        [{2: side, 3: side}], name=spec, kind="masks", image_size=CLOSE, looks=LOOKS,
         confidence=confidence, target=target, views=len(references.width),
         card=segmentation_card(None if spec == SHIPPED else Path(spec)),
     )  # fmt: skip
@@ -119,10 +120,13 @@ def export_grasps(spec: str, folder: Path) -> grasps.GrasperDescription:
 
 def _exported(
     description: Callable[..., D], what: str, folder: Path, network: torch.nn.Module, examples: Any,
-    inputs: Mapping[str, Any], outputs: Mapping[str, Any], **facts: Any,
+    inputs: Mapping[str, Any], outputs: Mapping[str, Any], shapes: Any = None, **facts: Any,
 ) -> D:  # fmt: skip
     beside, place = places(folder, what)
-    write_whole(place, lambda to: _write(network, examples, list(inputs), list(outputs), to))
+    if shapes is None and examples[0].shape[0] > 1:
+        shapes = [{0: torch.export.Dim("N", min=1, max=65536)}] * len(examples)
+    names = list(inputs), list(outputs)
+    write_whole(place, lambda to: _write(network, examples, *names, shapes, to))
     written = description(
         format=FORMAT, mechsearch=version("mechsearch"), opset=OPSET, inputs=inputs,
         network=hashlib.sha256(place.read_bytes()).hexdigest(), outputs=outputs, **facts,
@@ -132,9 +136,9 @@ def _exported(
 
 
 def _write(
-    network: torch.nn.Module, examples: Any, inputs: list[str], outputs: list[str], path: Path
-) -> None:
-    several = {0: torch.export.Dim("N", min=1, max=65536)} if examples[0].shape[0] > 1 else None
+    network: torch.nn.Module, examples: Any, inputs: list[str], outputs: list[str], shapes: Any,
+    path: Path,
+) -> None:  # fmt: skip
     # What the exporter does not find, it does not need; what is not folded is computed.
     for name in ("torch.onnx._internal.exporter._registration", "onnxscript.optimizer"):
         logging.getLogger(name).setLevel(logging.ERROR)
@@ -143,7 +147,7 @@ def _write(
         program = torch.onnx.export(
             network.eval(), examples, dynamo=True, opset_version=OPSET, verbose=False,
             input_names=inputs, output_names=outputs,
-            dynamic_shapes=[several] * len(examples) if several else None,
+            dynamic_shapes=shapes,
         )  # fmt: skip
     assert program is not None
     # Whole in one file.
