@@ -10,7 +10,7 @@ from mechsearch.camera import preset
 from mechsearch.heaps.dataset import embedded_heaps, object_set
 from mechsearch.render.renderer import Renderer
 from mechsearch.segmentation.images import ImageConfig, load_images, make_images, see_heaps
-from mechsearch.segmentation.reference import CLOSE
+from mechsearch.segmentation.reference import FULL
 from mechsearch.sim import Pusher, pusher_model
 from mechsearch.types import MechSearchError
 
@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 def test_masks_and_shares_are_those_of_the_heap(tmp_path):
     seen = see_heaps(HEAPS, "", PLAIN)
     heap_set = embedded_heaps("single")
-    models, camera = object_set("household").models, preset("overhead", CLOSE)
+    models, camera = object_set("household").models, preset("overhead", FULL)
     for index, number in enumerate(heap_set.choose("all", 3)):
         heap = heap_set.heaps[number]
         frame = Renderer([models[name] for name in heap.objects]).frame(camera, heap.poses)
@@ -97,7 +97,7 @@ def test_moments_of_episodes_are_shown_as_they_were(tmp_path):
     config, courses = replace(PLAIN, limit=0), {heap.seed: (poses, tips)}
     make_images(HEAPS, "", config, tmp_path, courses=courses)
     seen = load_images([tmp_path])
-    models, camera = object_set("household").models, preset("overhead", CLOSE)
+    models, camera = object_set("household").models, preset("overhead", FULL)
     renderer = Renderer([models[name] for name in heap.objects], pusher_model(Pusher()))
     frame = renderer.frame(camera, poses[0], Pusher().pose(tips[0]))
     np.testing.assert_array_equal(seen.images.ids[0], np.maximum(frame.ids + 1, 0))

@@ -16,9 +16,11 @@ from mechsearch.env.task import TaskConfig as TaskConfig
 from mechsearch.env.task import task_from_json as task_from_json
 from mechsearch.heaps.dataset import Heap
 from mechsearch.objects.model import ObjectModel, ObjectSet
-from mechsearch.segmentation.segmenter import NEVER_UNSURE, SURE, averaged
 from mechsearch.sim import FREE, ArmWorld, HeapWorld, arm_named, heap_world, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError, check_extra
+
+_UNSEEN = -1.0
+"""Average chance of being uncovered before any look; see `segmenter.Judge.averaged`."""
 
 
 class HeapEnv(SceneEnv[HeapWorld]):
@@ -66,7 +68,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         self.no_reward = dict.fromkeys(terms, 0.0)
         self.observation_space = self._scene.observer.space
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self._actions, self._sure, self._over = 0, NEVER_UNSURE, True
+        self._actions, self._sure, self._over = 0, _UNSEEN, True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -80,7 +82,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         super().reset(seed=seed)
         scene = self._scene
         index = scene.reset(self.np_random, options)
-        self._actions, self._sure = 0, NEVER_UNSURE
+        self._actions, self._sure = 0, _UNSEEN
         self._over = False
         return scene.observe(0), {"occlusion": scene.occlusion, "heap": index}
 
@@ -126,7 +128,7 @@ class HeapEnv(SceneEnv[HeapWorld]):
         """
         judged = () if self._scene.judge is None else ("sure",)
         counts = self._scene.restore(snapshot, ("actions", "over", *judged))
-        self._actions, over, self._sure = (*counts, NEVER_UNSURE)[:3]
+        self._actions, over, self._sure = (*counts, _UNSEEN)[:3]
         self._over = bool(over)
         return self._scene.observe(self._actions)
 
@@ -144,8 +146,8 @@ class HeapEnv(SceneEnv[HeapWorld]):
         if config.simulator_stops and scene.occlusion <= config.uncovered_at:
             return "uncovered"
         if scene.judge is not None:
-            self._sure = averaged(self._sure, scene.chance_uncovered(self._actions))
-            if self._sure >= SURE:
+            self._sure = scene.judge.averaged(self._sure, scene.chance_uncovered(self._actions))
+            if scene.judge.ends(self._sure):
                 return "stopped"
         return "action limit" if self._actions >= config.max_actions else None
 

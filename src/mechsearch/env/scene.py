@@ -19,7 +19,6 @@ from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.observation import Observer, Scene, others, without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
-from mechsearch.segmentation.segmenter import resized
 from mechsearch.sim import HeapWorld
 from mechsearch.types import (
     ACTION_LENGTH,
@@ -350,8 +349,7 @@ class HeapScene(Generic[W]):
             lambda frame: np.zeros(frame.depth.shape, np.bool_), True,
         )  # fmt: skip
         target = self._objects.models[heap.objects[heap.target]]
-        mask = finder.visible(target, rgb, depth, mount or finder.camera)
-        return mask if mount else resized(mask, size)
+        return finder.visible(target, rgb, depth, mount or finder.camera, 0 if mount else size)
 
     def _effector_in_view(self) -> Floats | None:
         return self._effector_pose() if self._robot_in_view else None

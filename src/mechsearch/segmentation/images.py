@@ -24,7 +24,7 @@ from mechsearch.observe.sensor import sensor_named
 from mechsearch.processes import Progress, map_in_order, silent
 from mechsearch.render.renderer import BACKGROUND, Renderer
 from mechsearch.segmentation.light import direction, in_other_light
-from mechsearch.segmentation.reference import CLOSE, References, render_references
+from mechsearch.segmentation.reference import FULL, References, render_references
 from mechsearch.segmentation.variants import variant
 from mechsearch.sim import Pusher, pusher_model
 from mechsearch.types import Array, Floats, MechSearchError
@@ -84,7 +84,7 @@ class Images:
     """Images (n,), and what they show.
 
     Attributes:
-        rgb: Colours (n, G, G, 3) uint8; G is `CLOSE`.
+        rgb: Colours (n, G, G, 3) uint8; G is `FULL`.
         depth: As measured (n, G, G) uint16 [mm]; 0 in holes.
         ids: What each pixel shows (n, G, G) uint8: 0 no object, else its place in `objects` and 1.
         camera: Where it is believed to be (n, 20): fx, fy, cx, cy [px], then its pose.
@@ -105,6 +105,11 @@ class Images:
 
     def __len__(self) -> int:
         return len(self.heap)
+
+    @property
+    def side(self) -> int:
+        """Of the images [px]."""
+        return int(self.rgb.shape[1])
 
     @classmethod
     def concatenated(cls, parts: Sequence[Self]) -> Self:
@@ -128,16 +133,16 @@ class Images:
             raise MechSearchError(f"images of {len(heaps)} heap; expected at least 2")
         return learn, check
 
-    def seen(self, index: int, side: int = CLOSE) -> tuple[Array, Array, Camera]:
+    def seen(self, index: int, side: int = FULL) -> tuple[Array, Array, Camera]:
         """Return an image's colours, depth [m], 0 in holes, and camera, at a size [px]."""
         fx, fy, cx, cy, *pose = self.camera[index].astype(np.float64).tolist()
         depth = self.depth[index].astype(np.float32) / 1000
-        camera = Camera(CLOSE, CLOSE, fx, fy, cx, cy, tuple(pose))
+        camera = Camera(FULL, FULL, fx, fy, cx, cy, tuple(pose))
         return at_size(self.rgb[index], depth, camera, side)
 
     def shown(self, index: int, side: int) -> NDArray[np.uint8]:
         """Return what each pixel shows, see `ids`, at a size [px]."""
-        picked = picked_rows(CLOSE, side)
+        picked = picked_rows(FULL, side)
         shown: NDArray[np.uint8] = self.ids[index][np.ix_(picked, picked)]
         return shown
 
@@ -398,7 +403,7 @@ def _image_of(
     drawn, poses, target = _drawn(heap, objects, library, config, rng)
     models = [library.models[index] for index in drawn]
     randomised = config.randomised and rng.random() < 0.8
-    camera = _camera(rng) if randomised else preset("overhead", CLOSE)
+    camera = _camera(rng) if randomised else preset("overhead", FULL)
     renderer = Renderer(models, pusher_model(Pusher()))
     if randomised:
         renderer.light = direction(rng, 1.2)
@@ -473,5 +478,5 @@ def _camera(rng: np.random.Generator) -> Camera:
     beside = np.array([np.cos(around), np.sin(around), 0.0])
     eye = middle + away * (np.sin(tilt) * beside + np.array([0.0, 0.0, np.cos(tilt)]))
     up = -beside if tilt > np.deg2rad(10) else np.array([rng.normal(0, 0.1), 1.0, 0.0])
-    focal, centre = 368.0 * rng.uniform(0.95, 1.08), (CLOSE - 1) / 2
-    return Camera(CLOSE, CLOSE, focal, focal, centre, centre, look_at(eye, middle, up))
+    focal, centre = 368.0 * rng.uniform(0.95, 1.08), (FULL - 1) / 2
+    return Camera(FULL, FULL, focal, focal, centre, centre, look_at(eye, middle, up))

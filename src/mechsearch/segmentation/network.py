@@ -21,7 +21,7 @@ from mechsearch.segmentation.layers import (
     colours_of,
     doubled,
 )
-from mechsearch.segmentation.reference import CLOSE, LOOKS, References
+from mechsearch.segmentation.reference import FULL, LOOKS, References
 from mechsearch.types import Array, MechSearchError
 
 _KIND = "mechsearch segmentation network of two looks"
@@ -245,7 +245,7 @@ class NetworkSegmenter:
         """Return the logits of a mask; see `masks.logits_by`."""
         if self._target is None:
             raise MechSearchError("a segmenter without reference views; call look_for first")
-        return logits_by(self._found, LOOKS, CLOSE, rgb, depth, camera)
+        return logits_by(self._found, LOOKS, FULL, rgb, depth, camera)
 
     def _found(self, seen: Array) -> Array:
         assert self._target is not None

@@ -17,7 +17,6 @@ from mechsearch.segmentation.fitting import FitConfig, fit_by_updates
 from mechsearch.segmentation.images import Images, ImageSet
 from mechsearch.segmentation.occlusion import can_be_judged, patch_of, silhouette_areas
 from mechsearch.segmentation.occlusion_network import OcclusionNetwork, save_occlusion_network
-from mechsearch.segmentation.reference import GRID
 from mechsearch.types import CALLED_UNCOVERED, Array, Floats, MechSearchError
 
 _KIND = "mechsearch occlusion training"
@@ -102,13 +101,13 @@ def examples(
         areas: Of all objects' silhouettes (3,); see `silhouette_areas`.
         rng: Draws the objects and errors.
     """
-    rows = []
+    rows, side = [], images.side // 2
     for index in chosen.tolist():
-        ids = images.shown(index, GRID)
+        ids = images.shown(index, side)
         hidden, objects = images.hidden[index], images.objects[index]
         visible = np.bincount(ids.ravel(), minlength=len(hidden) + 1)[1 : len(hidden) + 1]
         places = np.flatnonzero((visible > 0) & (objects >= 0))
-        _, depth, camera = images.seen(index, GRID)
+        _, depth, camera = images.seen(index, side)
         for place in rng.permutation(places)[:_OBJECTS].tolist():
             mask = _with_errors(ids == place + 1, rng)
             if not can_be_judged(depth, mask):

@@ -13,11 +13,12 @@ from mechsearch.objects.model import ObjectModel
 from mechsearch.render.visibility import NO_HIT, body_of
 from mechsearch.types import Array, Floats, MechSearchError
 
-GRID, CLOSE = 128, 256
-"""Sides of the images from which is learnt to find objects at first, and closer [px]."""
+GRID, FULL = 128, 256
+"""Sides of the images on which objects are looked for [px]: at the first look about, and when
+looking closer at a part."""
 
 LOOKS = 112, 128
-"""Sides of the whole image at the first look, and of the part of an image of `CLOSE` px that is
+"""Sides of the whole image at the first look, and of the part of an image of `FULL` px that is
 then looked at closer [px]; more of either takes more time and finds hardly more."""
 
 SIDE = 40

@@ -18,7 +18,7 @@ from mechsearch.segmentation.occlusion import (
     patch_of,
     silhouette_areas,
 )
-from mechsearch.segmentation.reference import CLOSE, GRID, References, render_references
+from mechsearch.segmentation.reference import FULL, GRID, References, render_references
 from mechsearch.types import Array, MechSearchError, real_array, shown
 
 TRUE, SHIPPED = "true", "shipped"
@@ -27,9 +27,9 @@ TRUE, SHIPPED = "true", "shipped"
 NEVER = "never"
 """Name of what ends no episode."""
 
-SURE, NEWEST, NEVER_UNSURE = 0.8, 0.35, -1.0
-"""Average chance of being uncovered with which an episode is ended, the share that the newest look
-has in it, and what it is before the first look that is not sure."""
+SURE, NEWEST = 0.8, 0.35
+"""Average chance of being uncovered with which an episode is ended, and the share that the newest
+look has in it."""
 
 _NETWORK = "mechsearch.segmentation.network:network_segmenter"
 _SUFFIX = ".safetensors"
@@ -147,21 +147,22 @@ class TargetFinder:
         Raises:
             MechSearchError: If there is no such segmenter or view.
         """
-        self.camera = preset(camera, CLOSE)
+        self.camera = preset(camera, FULL)
         self._segmenter = make_segmenter(name)
         self._target: ObjectModel | None = None
 
     def visible(
-        self, target: ObjectModel, rgb: Array | None, depth: Array, camera: Camera
+        self, target: ObjectModel, rgb: Array | None, depth: Array, camera: Camera, size: int = 0
     ) -> NDArray[np.bool_]:
-        """Return where an object is seen (H, W); see `visible_target`."""
+        """Return where an object is seen (H, W), see `visible_target`, or at a `size` [px]."""
         if target is not self._target:
             references = render_references(target)
             called(
                 self._segmenter.look_for, "segmenter", type(self._segmenter).__name__, references
             )
             self._target = target
-        return visible_target(self._segmenter, np.asarray(rgb), depth, camera)[0]
+        mask = visible_target(self._segmenter, np.asarray(rgb), depth, camera)[0]
+        return resized(mask, size) if size else mask
 
 
 def check_stop(name: str) -> str:
@@ -218,15 +219,21 @@ class Judge:
             return Occlusion(1.0, 0.0)
         return self._estimator.estimate(*patch_of(depth, self.camera, mask, self._areas))
 
+    @staticmethod
+    def averaged(before: float, chance: float) -> float:
+        """Return the running average of chances of being uncovered after one more look.
 
-def averaged(before: float, chance: float) -> float:
-    """Return the running average of chances of being uncovered after one more look.
+        What looks uncovered from the first on was not uncovered: looks count from one on that does
+        not, and the average is less than 0 before.
+        """
+        if before < 0 and chance >= SURE:
+            return before
+        return (1 - NEWEST) * max(before, 0.0) + NEWEST * chance
 
-    What looks uncovered from the first on was not uncovered: looks count from one on that does not.
-    """
-    if before == NEVER_UNSURE and chance >= SURE:
-        return NEVER_UNSURE
-    return (1 - NEWEST) * max(before, 0.0) + NEWEST * chance
+    @staticmethod
+    def ends(average: float) -> bool:
+        """Return whether an average chance ends an episode."""
+        return average >= SURE
 
 
 def resized(mask: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:

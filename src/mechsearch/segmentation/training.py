@@ -28,7 +28,6 @@ from mechsearch.segmentation.network import (
     reference_channels,
     save_segmentation_network,
 )
-from mechsearch.segmentation.reference import CLOSE, GRID
 from mechsearch.types import Array, Floats
 
 _KIND = "mechsearch segmentation training"
@@ -216,7 +215,8 @@ def _example(
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return what is seen about some object (6, C, C), true masks (T, C, C), and whose they are."""
     # As at the first look, or as when looking closer; other cameras have other pixels.
-    side = min(round(rng.choice([GRID, CLOSE]) * rng.uniform(*_SIZES)), CLOSE)
+    full = images.side
+    side = min(round(rng.choice([full // 2, full]) * rng.uniform(*_SIZES)), full)
     ids, hidden = images.shown(index, side), images.hidden[index]
     middle = np.argwhere(ids > 0)
     centre = middle[rng.integers(len(middle))] if len(middle) else np.array([len(ids) // 2] * 2)

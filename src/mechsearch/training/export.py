@@ -19,7 +19,7 @@ from mechsearch.robot import policy as exported
 from mechsearch.robot import segmenter as masks
 from mechsearch.robot.network import FORMAT, OPSET, Exported, places
 from mechsearch.segmentation.network import segmentation_card
-from mechsearch.segmentation.reference import CLOSE, LOOKS, References
+from mechsearch.segmentation.reference import FULL, LOOKS, References
 from mechsearch.segmentation.segmenter import SHIPPED, make_segmenter
 from mechsearch.types import MechSearchError, check_extra
 
@@ -92,7 +92,7 @@ def export_segmenter(
     example = torch.zeros(1, masks.CHANNELS, LOOKS[1], LOOKS[1])
     return _exported(
         masks.SegmenterDescription, "segmenter", folder, network, (example,), inputs, outputs,
-        [{2: side, 3: side}], name=spec, kind="masks", image_size=CLOSE, looks=LOOKS,
+        [{2: side, 3: side}], name=spec, kind="masks", image_size=FULL, looks=LOOKS,
         confidence=confidence, target=target, views=len(references.width),
         card=segmentation_card(None if spec == SHIPPED else Path(spec)),
     )  # fmt: skip
