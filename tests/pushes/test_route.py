@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mechsearch.pushes.push import PlannedPush, Push, draw_pushes, straight
-from mechsearch.pushes.route import Route, RouteConfig
+from mechsearch.pushes.route import Route, RouteConfig, full_steps
 from mechsearch.types import ACTION_LENGTH, MechSearchError
 
 
@@ -16,6 +16,33 @@ def carried_out(planned, ee):
         places.append(places[-1] + ACTION_LENGTH * action)
         assert len(places) < 100
     return np.array(places)
+
+
+@pytest.mark.parametrize("index", range(12))
+def test_in_full_steps_every_action_but_the_last_has_full_length_and_is_along_the_way(sight, index):
+    push = draw_pushes(12, np.random.default_rng(1), full_steps=True)[index]
+    planned = PlannedPush(push, sight)
+    places = carried_out(planned, sight.ee_position)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    np.testing.assert_allclose(steps[:-1], ACTION_LENGTH, rtol=1e-5)
+    np.testing.assert_allclose(places[-1], planned.way[-1], atol=0.012)
+    # Every place lies on a leg of the way that the same push without them goes.
+    corners = carried_out(PlannedPush(replace(push, full_steps=False), sight), sight.ee_position)
+    legs = np.diff(corners, axis=0)
+    along = np.einsum("pli,li->pl", places[:-1, None] - corners[:-1], legs)
+    along = np.clip(along / (legs * legs).sum(axis=1), 0, 1)
+    nearest = corners[:-1] + along[..., None] * legs
+    assert np.linalg.norm(places[:-1, None] - nearest, axis=-1).min(axis=1).max() < 0.013
+    assert len(places) <= len(corners)
+    assert 0 <= planned.approach + planned.length - len(steps) <= 3
+
+
+def test_full_steps_are_those_of_a_hand_drawn_corner():
+    # 3 cm ahead and 6 up: after 5 cm it is 4 cm up, and 2 cm are left to the end.
+    way = np.array([[0.03, 0.0, 0.0], [0.03, 0.06, 0.0]])
+    expected = [[0.03, 0.04, 0.0], [0.03, 0.06, 0.0]]
+    np.testing.assert_allclose(full_steps(np.zeros(3), way), expected, atol=1e-12)
+    assert full_steps(np.zeros(3), way[:0]).shape == (0, 3)
 
 
 @pytest.mark.parametrize("index", range(12))

@@ -57,6 +57,8 @@ class PushValuesConfig:
         ranked: Share of the tried pushes that are the best of what the policy judges, not random.
         searches: Whether a hidden target is looked for all over the heap, and not only where it was
             seen last.
+        full_steps: Whether pushes are carried out by actions of full length, which cut corners, and
+            do not end at every waypoint.
         also: Sensors by which each decision is seen too, such as "stereo": what a push brought is
             learnt from these images as well. Without a simulator there are none.
         value: The network and its fit.
@@ -68,6 +70,7 @@ class PushValuesConfig:
     explore: float = 0.1
     ranked: float = 0.5
     searches: bool = False
+    full_steps: bool = False
     also: tuple[str, ...] = ()
     value: PushValueConfig = field(default_factory=PushValueConfig)
 
@@ -136,7 +139,7 @@ class PushValuesSession:
         task = self._run.task
         config = PushPolicyConfig(
             self.config.candidates, task.camera, task.image_size, task.reward.idleness,
-            self.config.searches,
+            self.config.searches, self.config.full_steps,
         )  # fmt: skip
         return PushPolicy(networks, continuation, config)
 

@@ -25,6 +25,7 @@ class PushPolicyConfig:
         image_size: Side of the images [px].
         idleness: What an action costs.
         searches: Whether a hidden target is looked for all over the heap; see `PushChooser`.
+        full_steps: Whether pushes are carried out by actions of full length; see `Push`.
     """
 
     candidates: int = 96
@@ -32,6 +33,7 @@ class PushPolicyConfig:
     image_size: int = TaskConfig.image_size
     idleness: float = RewardConfig.idleness
     searches: bool = False
+    full_steps: bool = False
 
     def __post_init__(self) -> None:
         if self.candidates < 1:
@@ -57,7 +59,7 @@ class PushPolicy(PushChooser):
         self.networks = [copy.deepcopy(network).eval() for network in networks]
         self.continuation, self.config = continuation, config
         view = preset(config.camera, config.image_size)
-        super().__init__(view, config.candidates, config.searches)
+        super().__init__(view, config.candidates, config.searches, config.full_steps)
 
     def judge(self, pushes: Sequence[Push], sight: Sight) -> Floats:
         """Return the rewards expected of pushes and of what follows them (n,).

@@ -23,13 +23,17 @@ class PushChooser(ABC):
         candidates: Pushes to judge each time.
         searches: Whether a hidden target is looked for all over the heap, and not only where it was
             seen last.
+        full_steps: Whether pushes are carried out by actions of full length; see `Push`.
     """
 
     keys: tuple[str, ...] = ACTOR_KEYS
 
-    def __init__(self, camera: Camera, candidates: int, searches: bool = False) -> None:
-        """Take the view, how many pushes to judge, and where to look for a hidden target."""
-        self.camera, self.candidates, self.searches = camera, candidates, searches
+    def __init__(
+        self, camera: Camera, candidates: int, searches: bool = False, full_steps: bool = False
+    ) -> None:
+        """Take what the attributes say."""
+        self.camera, self.candidates = camera, candidates
+        self.searches, self.full_steps = searches, full_steps
         self.reset(np.random.default_rng(0))
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -75,7 +79,7 @@ class PushChooser(ABC):
         Of a searcher, they are about places all over the heap where the target is hidden; half of
         them, if it was seen before.
         """
-        pushes = draw_pushes(self.candidates, rng)
+        pushes = draw_pushes(self.candidates, rng, self.full_steps)
         if not self.searches or sight.target.any() or not len(sight.obstacles):
             return pushes
         first = 0 if self._last_seen is _UNSEEN else len(pushes) // 2

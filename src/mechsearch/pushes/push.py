@@ -77,6 +77,7 @@ class Push:
         height: Of the fingertip above the target's visible middle [m].
         mirrored: Whether a spiral turns clockwise.
         offset: From where the target was seen to where it is looked for [m].
+        full_steps: Whether it is carried out by actions of full length, which cut corners.
     """
 
     kind: str
@@ -88,6 +89,7 @@ class Push:
     height: float = 0.0
     mirrored: bool = False
     offset: tuple[float, float] = (0.0, 0.0)
+    full_steps: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -130,20 +132,25 @@ class Push:
         return _paths([self], _Frames([self], centre))[2]
 
 
-def draw_pushes(count: int, rng: np.random.Generator) -> list[Push]:
+def draw_pushes(count: int, rng: np.random.Generator, full_steps: bool = False) -> list[Push]:
     """Return random pushes from all sides; lengths and heights are those that often do well."""
-    return [_draw(rng) for _ in range(count)]
+    return [_draw(rng, full_steps) for _ in range(count)]
 
 
-def _draw(rng: np.random.Generator) -> Push:
+def _draw(rng: np.random.Generator, full_steps: bool) -> Push:
     direction, height = _uniform(0, 2 * np.pi, rng), _uniform(-0.012, 0.035, rng)
     if rng.random() < _STRAIGHT_SHARE:
         lateral, before = float(rng.normal(0, 0.025)), _uniform(0, 0.11, rng)
         after = _uniform(0.03, 0.15, rng)
-        return Push("straight", direction, lateral, before, after, height=height)
+        return Push(
+            "straight", direction, lateral, before, after, height=height, full_steps=full_steps
+        )
     lateral, turns = float(rng.normal(0, 0.01)), _uniform(0.75, SPIRAL_TURNS, rng)
     mirrored = bool(rng.random() < 0.5)
-    return Push("spiral", direction, lateral, turns=turns, height=height, mirrored=mirrored)
+    return Push(
+        "spiral", direction, lateral,
+        turns=turns, height=height, mirrored=mirrored, full_steps=full_steps,
+    )  # fmt: skip
 
 
 def _uniform(low: float, high: float, rng: np.random.Generator) -> float:
@@ -295,15 +302,13 @@ class PlannedPush:
         if sight.centre is None:
             raise MechSearchError(_UNSEEN)
         self._target, self._others = sight.centre, sight.obstacles
-        self._route = Route(replace(_SEEN, clearance=push.height))
+        self._route = Route(replace(_SEEN, clearance=push.height, full_steps=push.full_steps))
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
         self.way = self._route.push.copy()
         self.path = self.way[:, :2]
-        way = np.vstack([sight.ee_position, self._route.waypoints])
-        first = len(way) - len(self._route.push)
-        self.start, self.flies = way[first], first > 1
-        legs = _actions(way[1:] - way[:-1])
-        self.approach, self.length = float(legs[:first].sum()), float(legs[first:].sum())
+        plans = _Plans(self.way, np.array([len(self.way)]), np.array([push.full_steps]), sight)
+        self.start, self.flies = plans.starts[0], bool(plans.flies[0])
+        self.approach, self.length = float(plans.approach[0]), float(plans.length[0])
 
     def act(self, obs: Observation) -> NDArray[np.float32] | None:
         """Return the next action (3,), or None at the end; "ee_position" is read."""
@@ -315,8 +320,8 @@ class PlannedPush:
 class _Plans:
     """How n pushes will go, by arrays of all: `starts`, `flies`, `approach` and `length`."""
 
-    def __init__(self, waypoints: Floats, counts: Array, sight: Sight) -> None:
-        """Plan pushes along waypoints (N, 3), of which each has its count."""
+    def __init__(self, waypoints: Floats, counts: Array, full_steps: Array, sight: Sight) -> None:
+        """Plan pushes along waypoints (N, 3), of which each has its count, in full steps or not."""
         assert sight.centre is not None
         first = np.cumsum(counts) - counts
         self.starts = waypoints[first]
@@ -324,18 +329,23 @@ class _Plans:
         self.flies = way.flies
         here = np.broadcast_to(sight.ee_position, self.starts.shape)
         corners = [here[:, None], way.waypoints, self.starts[:, None]]
-        self.approach = _actions(np.diff(np.concatenate(corners, axis=1), axis=1)).sum(axis=1)
+        there = np.linalg.norm(np.diff(np.concatenate(corners, axis=1), axis=1), axis=-1)
         legs = np.zeros(len(waypoints))
-        legs[1:] = _actions(np.diff(waypoints, axis=0))
+        legs[1:] = np.linalg.norm(np.diff(waypoints, axis=0), axis=-1)
         # From one push to the next there is no leg.
         legs[first] = 0
-        self.length = np.add.reduceat(legs, first) if len(first) else legs
+        at_once, each = (
+            np.add.reduceat(row, first) if len(first) else row for row in (legs, _actions(legs))
+        )
+        self.approach = np.where(
+            full_steps, _actions(there.sum(axis=1)), _actions(there).sum(axis=1)
+        )
+        self.length = np.where(full_steps, _actions(at_once), each)
 
 
-def _actions(legs: Floats) -> Floats:
-    """Return how many actions legs (..., 3) take; a waypoint counts as reached from nearby."""
-    lengths = np.linalg.norm(legs, axis=-1) - _SEEN.tolerance
-    actions: Floats = np.ceil(np.maximum(lengths, 0) / ACTION_LENGTH)
+def _actions(lengths: Floats) -> Floats:
+    """Return how many actions lengths [m] take; their end counts as reached from nearby."""
+    actions: Floats = np.ceil(np.maximum(lengths - _SEEN.tolerance, 0) / ACTION_LENGTH)
     return actions
 
 
@@ -366,7 +376,8 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
     frames = _Frames(pushes, centre)
     counts, own, way = _paths(pushes, frames)
     heights = np.repeat([push.height for push in pushes], counts)
-    plans = _Plans(waypoints_along(way, centre, heights, _SEEN), counts, sight)
+    full_steps = np.array([push.full_steps for push in pushes], np.bool_)
+    plans = _Plans(waypoints_along(way, centre, heights, _SEEN), counts, full_steps, sight)
     return PushViews(
         _patches(frames, np.split(own, np.cumsum(counts)), plans.starts[:, 2], sight),
         _numbers(pushes, frames, plans, sight),

@@ -27,6 +27,8 @@ class RouteConfig:
         patience: Actions without progress after which a waypoint is given up.
         beside: Horizontal distance at which the approach may pass an object [m].
         above: Height above an object at which it may pass over it [m].
+        full_steps: Whether every action has its full length and cuts corners, or ends at each
+            waypoint.
     """
 
     clearance: float = 0.03
@@ -38,6 +40,7 @@ class RouteConfig:
     patience: int = 2
     beside: float = 0.08
     above: float = 0.06
+    full_steps: bool = False
 
 
 class Route:
@@ -99,7 +102,8 @@ class Route:
         """Go to the push's start."""
         over = approaches(self.push[:1], ee, target, others, self.config)
         above = over.waypoints[0][[bool(over.rises[0]), bool(over.flies[0])]]
-        self._follow(np.vstack([above, self.push]))
+        way = np.vstack([above, self.push])
+        self._follow(full_steps(ee, way) if self.config.full_steps else way)
 
     def _rejoin(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Approach again if something else has carried the end effector away from the way."""
@@ -125,6 +129,26 @@ class Route:
         self.waypoints = waypoints
         self._closest = np.inf
         self._stalled = 0
+
+
+def full_steps(start: Floats, way: Floats) -> Floats:
+    """Return points (M, 3) [m] on a way, each an action's length from the one before, and its end.
+
+    Args:
+        start: From where the first is as far (3,) [m].
+        way: Corners of the way from there (N, 3) [m].
+    """
+    points, here, corner, left = [], start, start, list(way)
+    while left:
+        if np.linalg.norm(left[0] - here) <= ACTION_LENGTH:
+            corner = left.pop(0)
+            continue
+        # Where the leg that begins within reach leaves it.
+        behind, leg = corner - here, left[0] - corner
+        a, b, c = leg @ leg, behind @ leg, behind @ behind - ACTION_LENGTH**2
+        here = corner = corner + (np.sqrt(b * b - a * c) - b) / a * leg
+        points.append(here)
+    return np.array([*points, *way[-1:]]).reshape(-1, 3)
 
 
 def waypoints_along(

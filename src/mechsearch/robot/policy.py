@@ -67,6 +67,7 @@ class Description(Exported):
         high: Highest corner (3,) [m].
         candidates: Pushes to judge each time; 0 where it judges none.
         searches: Whether it looks for a hidden target all over the heap; see `PushChooser`.
+        full_steps: Whether its pushes are carried out by actions of full length.
     """
 
     camera: str
@@ -74,6 +75,7 @@ class Description(Exported):
     high: Sequence[float]
     candidates: int
     searches: bool
+    full_steps: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ class ExportedPushes(PushChooser):
         """Take an exported policy's parts; see `open_policy`."""
         self.description, self._network = description, network
         view = preset(description.camera, description.image_size)
-        super().__init__(view, description.candidates, description.searches)
+        super().__init__(view, description.candidates, description.searches, description.full_steps)
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; candidates come from `rng`."""

@@ -62,6 +62,7 @@ def export_policy(spec: str, folder: Path, candidates: int | None = None) -> exp
         low=[-bounds.half, -bounds.half, bounds.low], high=[bounds.half, bounds.half, bounds.high],
         candidates=candidates or own, card=card,
         searches=getattr(inner, "searches", False),
+        full_steps=getattr(inner, "full_steps", False),
     )  # fmt: skip
 
 
