@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mechsearch.pushes.push import PlannedPush, Push, draw_pushes, straight
-from mechsearch.pushes.route import Route, RouteConfig, full_steps
+from mechsearch.pushes.route import Route, RouteConfig, steps_along
 from mechsearch.types import ACTION_LENGTH, MechSearchError
 
 
@@ -41,8 +41,8 @@ def test_full_steps_are_those_of_a_hand_drawn_corner():
     # 3 cm ahead and 6 up: after 5 cm it is 4 cm up, and 2 cm are left to the end.
     way = np.array([[0.03, 0.0, 0.0], [0.03, 0.06, 0.0]])
     expected = [[0.03, 0.04, 0.0], [0.03, 0.06, 0.0]]
-    np.testing.assert_allclose(full_steps(np.zeros(3), way), expected, atol=1e-12)
-    assert full_steps(np.zeros(3), way[:0]).shape == (0, 3)
+    np.testing.assert_allclose(steps_along(np.zeros(3), way), expected, atol=1e-12)
+    assert steps_along(np.zeros(3), way[:0]).shape == (0, 3)
 
 
 @pytest.mark.parametrize("index", range(12))

@@ -14,7 +14,9 @@ def pushes():
     torch.manual_seed(0)
     config = PushValueConfig(filters=4, hidden=(16, 8))
     networks = [PushValue(config) for _ in range(NETWORKS)]
-    return PushPolicy(networks, Continuation(), PushPolicyConfig(candidates=24, searches=True))
+    return PushPolicy(
+        networks, Continuation(), PushPolicyConfig(candidates=24, searches=True, full_steps=True)
+    )
 
 
 @pytest.fixture(scope="session")

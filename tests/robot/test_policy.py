@@ -39,7 +39,7 @@ def test_what_is_expected_is_the_mean_of_the_networks(pushes, exported_pushes, o
     obs, carried = observations[0], open_policy(exported_pushes)
     carried.reset(np.random.default_rng(3))
     choice = carried.choose(obs)
-    candidates = draw_pushes(24, np.random.default_rng(3))
+    candidates = draw_pushes(24, np.random.default_rng(3), pushes.full_steps)
     views = view_pushes(candidates, pushes.see(obs))
     best = int(pushes.judge(candidates, pushes.see(obs)).argmax())
     with torch.inference_mode():
@@ -66,7 +66,8 @@ def test_fewer_candidates_are_the_first_ones(
     for i, obs in enumerate(observations):
         carried.reset(np.random.default_rng(i))
         assert carried.choose(obs).reason.endswith("the best of 5")
-        candidates, sight = draw_pushes(5, np.random.default_rng(i)), pushes.see(obs)
+        sight = pushes.see(obs)
+        candidates = draw_pushes(5, np.random.default_rng(i), pushes.full_steps)
         best = candidates[int(pushes.judge(candidates, sight).argmax())]
         assert f"towards {np.rad2deg(best.direction):.0f} degrees" in carried.choose(obs).reason
     words[2] = str(exported_actor.parent / "policy.safetensors")

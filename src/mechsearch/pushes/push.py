@@ -306,9 +306,14 @@ class PlannedPush:
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
         self.way = self._route.push.copy()
         self.path = self.way[:, :2]
-        plans = _Plans(self.way, np.array([len(self.way)]), np.array([push.full_steps]), sight)
-        self.start, self.flies = plans.starts[0], bool(plans.flies[0])
-        self.approach, self.length = float(plans.approach[0]), float(plans.length[0])
+        corners = np.vstack([sight.ee_position, self._route.corners])
+        first = len(corners) - len(self.way)
+        self.start, self.flies = corners[first], first > 1
+        legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        self.approach, self.length = (
+            float(_actions(part.sum()) if push.full_steps else _actions(part).sum())
+            for part in (legs[:first], legs[first:])
+        )
 
     def act(self, obs: Observation) -> NDArray[np.float32] | None:
         """Return the next action (3,), or None at the end; "ee_position" is read."""

@@ -51,13 +51,14 @@ class Route:
 
     Attributes:
         push: Waypoints of the push (N, 3) [m].
+        corners: Of the approach, and these (K, 3) [m].
         waypoints: What is left of the way (M, 3) [m].
     """
 
     def __init__(self, config: RouteConfig | None = None) -> None:
         """Begin without a push."""
         self.config = config or RouteConfig()
-        self.push = np.zeros((0, 3))
+        self.push = self.corners = np.zeros((0, 3))
         self._follow(self.push)
 
     def begin(self, path: Floats, ee: Floats, target: Floats, others: Floats) -> None:
@@ -102,8 +103,8 @@ class Route:
         """Go to the push's start."""
         over = approaches(self.push[:1], ee, target, others, self.config)
         above = over.waypoints[0][[bool(over.rises[0]), bool(over.flies[0])]]
-        way = np.vstack([above, self.push])
-        self._follow(full_steps(ee, way) if self.config.full_steps else way)
+        self.corners = np.vstack([above, self.push])
+        self._follow(steps_along(ee, self.corners) if self.config.full_steps else self.corners)
 
     def _rejoin(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Approach again if something else has carried the end effector away from the way."""
@@ -131,7 +132,7 @@ class Route:
         self._stalled = 0
 
 
-def full_steps(start: Floats, way: Floats) -> Floats:
+def steps_along(start: Floats, way: Floats) -> Floats:
     """Return points (M, 3) [m] on a way, each an action's length from the one before, and its end.
 
     Args:
