@@ -33,6 +33,7 @@ def test_a_file_has_the_options_of_its_own_algorithm_alone(tmp_path):
         "explore",
         "ranked",
         "searches",
+        "full_steps",
         "also",
         "value",
     }
