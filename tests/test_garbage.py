@@ -26,7 +26,7 @@ from mechsearch.heaps import dataset
 from mechsearch.objects.catalog import read_masses
 from mechsearch.objects.meshes.cache import model_from_npz
 from mechsearch.objects.meshes.prepare import read_pieces
-from mechsearch.push_values.algorithm import load_episode
+from mechsearch.push_values.episodes import load_episode
 from mechsearch.training.config import load_config
 from mechsearch.training.run_directory import load_policy
 from mechsearch.types import MechSearchError

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, Self, Type
 import gymnasium
 
 from mechsearch.env import TaskConfig
+from mechsearch.processes import Input, Mapper, Result, map_in_order
 from mechsearch.teachers import Teacher
 from mechsearch.types import Array, MechSearchError, Policy
 
@@ -58,12 +59,22 @@ class TrainingSetup:
         heaps: Indices of the heaps to learn on.
         teachers: Who guides, by name.
         evaluators: Score a policy on heaps of their own, by name of these heaps.
+        workers: Processes for what an algorithm can spread.
+        mapper: How it is spread.
     """
 
     env: Env
     heaps: Sequence[int]
     teachers: Mapping[str, Teacher]
     evaluators: Mapping[str, Evaluator]
+    workers: int = 1
+    mapper: Mapper = map_in_order
+
+    def spread(
+        self, function: Callable[[Input], Result], inputs: Iterable[Input]
+    ) -> Iterator[Result]:
+        """Yield a function of each input, in order, from however many processes; see `Mapper`."""
+        return self.mapper(function, inputs, self.workers, held=1)
 
 
 @dataclass(frozen=True)

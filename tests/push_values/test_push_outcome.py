@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 
 from mechsearch.env.trial import Rollout
-from mechsearch.push_values.algorithm import outcome_of
+from mechsearch.push_values.episodes import outcome_of
 from mechsearch.push_values.value import PushOutcome
 
 

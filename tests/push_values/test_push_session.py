@@ -18,7 +18,8 @@ from mechsearch.files import (
     tensors as weights,
 )
 from mechsearch.findings.experiment import read_run
-from mechsearch.push_values.algorithm import PushValuesSession, load_episode
+from mechsearch.push_values.algorithm import PushValuesSession
+from mechsearch.push_values.episodes import load_episode
 from mechsearch.push_values.value import PushValueConfig
 from mechsearch.pushes.push import draw_pushes
 from mechsearch.report.figures import draw_training
@@ -126,6 +127,15 @@ def test_a_run_that_was_killed_goes_on_as_if_it_never_had_been(plus, whole, make
     assert files(tmp_path) == files(whole[0])
 
 
+def test_a_run_is_the_same_bytes_whatever_the_number_of_processes(
+    plus, whole, make_parts, tmp_path
+):
+    learn(plus, TrainingSetup(make_parts().env, range(2), {}, {}, 2), tmp_path)
+    two, one = files(tmp_path), files(whole[0])
+    for name in ("actor.safetensors", *(name for name in one if name.startswith("pushes/"))):
+        assert two[name] == one[name]
+
+
 def test_a_disk_that_is_full_is_told_by_the_episodes_file_and_costs_nothing(
     plus, whole, make_parts, tmp_path, monkeypatch
 ):
@@ -182,28 +192,26 @@ def test_an_episode_over_several_fits_leaves_none_out(plus, make_parts, tmp_path
 def test_later_pushes_are_the_policys_best_but_for_a_share(plus, make_env):
     explorer = plus.changed(explore=0.0, ranked=1.0)
     session = begun(explorer, make_env)
-    session.remember(session.episode())
+    session.remember(session.episodes(0))
     session.fit()
-    env = session._env
-    obs, _ = env.reset(seed=1, options={"heap": 0})
+    obs, _ = session.episodes.env.reset(seed=1, options={"heap": 0})
     sight = session.policy.see(obs)
-    chosen = session._choose(sight)
+    chosen = session.episodes._choose(sight, np.random.default_rng(2))
     values = session.policy.judge(chosen, sight)
     assert (np.diff(values) <= 1e-6).all()
-    session._rng = np.random.default_rng(0)
     drawn = draw_pushes(12, np.random.default_rng(0))
-    assert session._choose(sight)[0] == drawn[session.policy.best(drawn, sight)]
+    best = session.episodes._choose(sight, np.random.default_rng(0))[0]
+    assert best == drawn[session.policy.best(drawn, sight)]
 
 
 def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(plus, make_env):
     def executed(explore):
         session = begun(plus.changed(tries=1, explore=explore), make_env)
-        session.remember(session.episode())
+        session.remember(session.episodes(0))
         session.fit()
-        obs, _ = session._env.reset(seed=1, options={"heap": 0})
-        session._rng = np.random.default_rng(0)
+        obs, _ = session.episodes.env.reset(seed=1, options={"heap": 0})
         sight, drawn = session.policy.see(obs), draw_pushes(12, np.random.default_rng(0))
-        (chosen,) = session._choose(sight)
+        (chosen,) = session.episodes._choose(sight, np.random.default_rng(0))
         return drawn.index(chosen), session.policy.best(drawn, sight)
 
     chosen, best = executed(explore=0.0)
@@ -218,7 +226,7 @@ def test_more_tries_than_candidates_are_refused(plus):
 
 def test_what_follows_a_push_is_a_line_through_what_followed(plus, make_env):
     session = begun(plus, make_env)
-    session.remember(session.episode())
+    session.remember(session.episodes(0))
     occlusion = torch.rand(80)
     session._followed = [torch.stack([occlusion, -3 - 5 * occlusion], dim=1)]
     found = session.fit()
@@ -235,7 +243,9 @@ def test_pushes_are_learnt_in_heaps_only(plus, make_parts, tmp_path):
 
 def test_decisions_are_learnt_from_as_other_sensors_see_them(plus, make_env):
     """Each push a second time, with the same outcome and way, and another image."""
-    alone, both = (begun(plus.changed(also=also), make_env).episode() for also in ((), ("stereo",)))
+    alone, both = (
+        begun(plus.changed(also=also), make_env).episodes(0) for also in ((), ("stereo",))
+    )
     assert alone.summary == both.summary
     np.testing.assert_array_equal(alone.followed, both.followed)
     count, own = len(alone.samples), both.samples

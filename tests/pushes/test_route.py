@@ -2,9 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis.extra.numpy import arrays
+from hypothesis.strategies import floats
 
 from mechsearch.pushes.push import PlannedPush, Push, draw_pushes, straight
-from mechsearch.pushes.route import Route, RouteConfig, steps_along
+from mechsearch.pushes.route import Route, RouteConfig, approaches, steps_along
 from mechsearch.types import ACTION_LENGTH, MechSearchError
 
 
@@ -26,15 +29,59 @@ def test_in_full_steps_every_action_but_the_last_has_full_length_and_is_along_th
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     np.testing.assert_allclose(steps[:-1], ACTION_LENGTH, rtol=1e-5)
     np.testing.assert_allclose(places[-1], planned.way[-1], atol=0.012)
-    # Every place lies on a leg of the way that the same push without them goes.
-    corners = carried_out(PlannedPush(replace(push, full_steps=False), sight), sight.ee_position)
+    # Every place lies on a leg of the way.
+    start = planned.way[:1]
+    over = approaches(start, sight.ee_position, sight.centre, sight.obstacles, FULL_STEPS)
+    corners = np.vstack([over.corners[0], planned.way])
     legs = np.diff(corners, axis=0)
-    along = np.einsum("pli,li->pl", places[:-1, None] - corners[:-1], legs)
-    along = np.clip(along / (legs * legs).sum(axis=1), 0, 1)
+    along = np.einsum("pli,li->pl", places[:, None] - corners[:-1], legs)
+    along = np.clip(along / np.maximum((legs * legs).sum(axis=1), 1e-12), 0, 1)
     nearest = corners[:-1] + along[..., None] * legs
-    assert np.linalg.norm(places[:-1, None] - nearest, axis=-1).min(axis=1).max() < 0.013
-    assert len(places) <= len(corners)
+    assert np.linalg.norm(places[:, None] - nearest, axis=-1).min(axis=1).max() < 0.013
+    each = carried_out(PlannedPush(replace(push, full_steps=False), sight), sight.ee_position)
+    assert len(places) <= len(each)
     assert 0 <= planned.approach + planned.length - len(steps) <= 3
+
+
+FULL_STEPS = RouteConfig(travel_clearance=0.03, beside=0.035, above=0.02, full_steps=True)
+
+
+def test_the_approach_in_full_steps_is_a_string_drawn_tight_over_what_lies_on_its_way():
+    ee, starts = np.array([-0.15, 0.0, 0.1]), np.array([[0.15, 0.0, 0.04], [0.0, 0.3, 0.04]])
+    # Halfway something 17 cm high; nearer to the start something lower, above the string's line to
+    # the start but for the string itself; beside the way something high.
+    middle, low, beside = [0.03, 0.03, 0.17], [0.09, 0.0, 0.07], [0.03, 0.04, 0.2]
+    way = approaches(starts, ee, starts[0] * 0.9, np.array([middle, low, beside]), FULL_STEPS)
+    np.testing.assert_array_equal(way.flies, [True, False])
+    over, free = way.corners
+    x = np.linspace(-0.15, 0.15, 16)
+    # Up from 10 cm to 3 cm above the middle, 9 of 15 parts along, and down to 3 cm above the last.
+    np.testing.assert_allclose(over[:, 0], x, atol=1e-12)
+    np.testing.assert_allclose(over[:10, 2], np.linspace(0.1, 0.2, 10))
+    assert over[14, 2] == pytest.approx(0.2 + (0.04 - 0.2) * 5 / 6)
+    np.testing.assert_allclose(free, ee + np.linspace(0, 1, 16)[:, None] * (starts[1] - ee))
+
+
+@settings(deadline=None)
+@given(arrays(float, (3, 16), elements=floats(0, 0.24)))
+def test_a_string_over_posts_bends_down_alone_and_hangs_on_posts(posts):
+    ends = np.array([[0.0, 0.0, 0.1], [0.2, 0.1, 0.04], [0.1, 0.0, 0.1], [0.3, 0.0, 0.05]])
+    share = np.linspace(0, 1, 16)
+    for start, heights in zip(ends[1:], posts, strict=True):
+        ground = ends[0, :2] + share[:, None] * (start - ends[0])[:2]
+        objects = np.column_stack([ground, heights])
+        way = approaches(start[None], ends[0], objects[0], objects[1:], FULL_STEPS)
+        string = way.corners[0, :, 2]
+        least = np.maximum(
+            np.minimum(heights + 0.03, FULL_STEPS.highest),
+            ends[0, 2] + share * (start[2] - ends[0, 2]),
+        )
+        assert (string >= least - 1e-12).all()
+        bend = np.diff(string, 2)
+        assert (bend <= 1e-12).all()
+        # Where it bends, it lies on something.
+        bends = 1 + np.nonzero(bend < -1e-9)[0]
+        assert np.isin(np.round(string[bends], 9), np.round(least, 9)).all()
 
 
 def test_full_steps_are_those_of_a_hand_drawn_corner():

@@ -27,7 +27,8 @@ from mechsearch.grasp.learning.labelling import Grasps, load_grasps
 from mechsearch.grasp.network import SHIPPED_GRASP_NETWORK, GraspNetwork, load_network, save_network
 from mechsearch.heaps import dataset
 from mechsearch.objects.meshes.cache import model_from_npz, model_to_npz
-from mechsearch.push_values.algorithm import EpisodeOfPushes, PushValues, load_episode, save_episode
+from mechsearch.push_values.algorithm import PushValues
+from mechsearch.push_values.episodes import EpisodeOfPushes, load_episode, save_episode
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import Continuation, PushSamples, PushValue, PushValueConfig
 from mechsearch.pushes.push import NUMBERS, PATCH

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Generic, Self, TypeVar
 import tyro
 
 from mechsearch.algorithm import A, RunConfig, Schedule
-from mechsearch.cli.command import FLAT, Command, bars, parsed, say, wrote
+from mechsearch.cli.command import FLAT, Spread, bars, parsed, say, wrote
 from mechsearch.env import TaskConfig
 from mechsearch.evaluation.episodes import metrics_of
 from mechsearch.files import CONFIG_FILE
@@ -22,8 +22,10 @@ T = TypeVar("T", bound=TaskConfig)
 
 
 @dataclass(frozen=True)
-class Train(Command, Generic[A, T]):
+class Train(Spread, Generic[A, T]):
     """Learn on the training half of a heap set, and write a run directory.
+
+    Where pushes are learnt, processes go through episodes and fit networks side by side.
 
     Attributes:
         heaps: Heap set (.parquet).
@@ -86,8 +88,10 @@ class Train(Command, Generic[A, T]):
     def run(self) -> None:
         """Train, with a progress bar that shows the last evaluation."""
         config = RunConfig(self.name, self.algorithm, self.seed, self.task, self.schedule)
-        with bars() as progress:
-            scores = train(config, self.heaps, self.out, self.objects, self.resume, progress)
+        with bars() as progress, self.spread() as (workers, mapper):
+            scores = train(
+                config, self.heaps, self.out, self.objects, self.resume, progress, workers, mapper
+            )
         if scores:
             shown = [f"{name} {scores[name]:.3g}" for name in metrics_of(scores)]
             say(f"last evaluation: {', '.join(shown)}")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.pushes.route import Route, RouteConfig, approaches, waypoints_along
+from mechsearch.pushes.route import Approaches, Route, RouteConfig, approaches, waypoints_along
 from mechsearch.types import ACTION_LENGTH, Array, Floats, MechSearchError, Observation
 
 Shape = Callable[[Floats, float], Floats]
@@ -305,15 +305,13 @@ class PlannedPush:
         self._route = Route(replace(_SEEN, clearance=push.height, full_steps=push.full_steps))
         self._route.begin(push.path(self._target), sight.ee_position, self._target, self._others)
         self.way = self._route.push.copy()
-        self.path = self.way[:, :2]
-        corners = np.vstack([sight.ee_position, self._route.corners])
-        first = len(corners) - len(self.way)
-        self.start, self.flies = corners[first], first > 1
-        legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        self.approach, self.length = (
-            float(_actions(part.sum()) if push.full_steps else _actions(part).sum())
-            for part in (legs[:first], legs[first:])
-        )
+        self.path, self.start = self.way[:, :2], self.way[0]
+        assert self._route.approach is not None
+        counts = np.array([len(self.way)])
+        plan = _Plans(self.way, counts, self._route.approach, push.full_steps, sight.ee_position)
+        self.flies, self.approach, self.length = (
+            bool(plan.flies[0]), float(plan.approach[0]), float(plan.length[0])
+        )  # fmt: skip
 
     def act(self, obs: Observation) -> NDArray[np.float32] | None:
         """Return the next action (3,), or None at the end; "ee_position" is read."""
@@ -325,27 +323,40 @@ class PlannedPush:
 class _Plans:
     """How n pushes will go, by arrays of all: `starts`, `flies`, `approach` and `length`."""
 
-    def __init__(self, waypoints: Floats, counts: Array, full_steps: Array, sight: Sight) -> None:
-        """Plan pushes along waypoints (N, 3), of which each has its count, in full steps or not."""
-        assert sight.centre is not None
+    def __init__(
+        self, waypoints: Floats, counts: Array, way: Approaches, full_steps: bool, ee: Floats
+    ) -> None:
+        """Plan pushes along waypoints (N, 3), of which each has its count, in full steps or not.
+
+        Args:
+            waypoints: Of all of them.
+            counts: How many each has (n,).
+            way: To their starts.
+            full_steps: Whether actions cut corners.
+            ee: End effector (3,) [m].
+        """
         first = np.cumsum(counts) - counts
-        self.starts = waypoints[first]
-        way = approaches(self.starts, sight.ee_position, sight.centre, sight.obstacles, _SEEN)
+        starts = self.starts = waypoints[first]
         self.flies = way.flies
-        here = np.broadcast_to(sight.ee_position, self.starts.shape)
-        corners = [here[:, None], way.waypoints, self.starts[:, None]]
-        there = np.linalg.norm(np.diff(np.concatenate(corners, axis=1), axis=1), axis=-1)
+        here = np.broadcast_to(ee, starts.shape)
+        corners = np.concatenate([here[:, None], way.corners, starts[:, None]], axis=1)
+        there = np.linalg.norm(np.diff(corners, axis=1), axis=-1)
         legs = np.zeros(len(waypoints))
         legs[1:] = np.linalg.norm(np.diff(waypoints, axis=0), axis=-1)
         # From one push to the next there is no leg.
         legs[first] = 0
-        at_once, each = (
-            np.add.reduceat(row, first) if len(first) else row for row in (legs, _actions(legs))
-        )
-        self.approach = np.where(
-            full_steps, _actions(there.sum(axis=1)), _actions(there).sum(axis=1)
-        )
-        self.length = np.where(full_steps, _actions(at_once), each)
+        if full_steps:
+            self.approach = _actions(there.sum(axis=1))
+            self.length = _actions(_sums(legs, first))
+        else:
+            self.approach = _actions(there).sum(axis=1)
+            self.length = _sums(_actions(legs), first)
+
+
+def _sums(row: Floats, first: Array) -> Floats:
+    """Return the sums of the parts of a row that begin at `first`."""
+    sums: Floats = np.add.reduceat(row, first) if len(first) else row
+    return sums
 
 
 def _actions(lengths: Floats) -> Floats:
@@ -370,7 +381,7 @@ class PushViews:
 
 
 def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
-    """Return how pushes look.
+    """Return how pushes look, of which all or none are in full steps.
 
     Raises:
         MechSearchError: If no part of the target is visible.
@@ -381,8 +392,11 @@ def view_pushes(pushes: Sequence[Push], sight: Sight) -> PushViews:
     frames = _Frames(pushes, centre)
     counts, own, way = _paths(pushes, frames)
     heights = np.repeat([push.height for push in pushes], counts)
-    full_steps = np.array([push.full_steps for push in pushes], np.bool_)
-    plans = _Plans(waypoints_along(way, centre, heights, _SEEN), counts, full_steps, sight)
+    waypoints = waypoints_along(way, centre, heights, _SEEN)
+    config = replace(_SEEN, full_steps=any(push.full_steps for push in pushes))
+    starts = waypoints[np.cumsum(counts) - counts]
+    approach = approaches(starts, sight.ee_position, centre, sight.obstacles, config)
+    plans = _Plans(waypoints, counts, approach, config.full_steps, sight.ee_position)
     return PushViews(
         _patches(frames, np.split(own, np.cumsum(counts)), plans.starts[:, 2], sight),
         _numbers(pushes, frames, plans, sight),

@@ -20,15 +20,16 @@ class RouteConfig:
     Attributes:
         clearance: Height of the push above the target's point [m].
         lowest: Least height of the fingertip while pushing [m].
-        travel_clearance: Height of the approach above the highest object's point [m].
+        travel_clearance: Height of the approach above the highest object's point [m]; in full
+            steps above what it passes.
         highest: Greatest height of the fingertip [m].
         half: Bound on the waypoints' horizontal coordinates [m].
         tolerance: Distance at which a waypoint counts as reached [m].
         patience: Actions without progress after which a waypoint is given up.
         beside: Horizontal distance at which the approach may pass an object [m].
         above: Height above an object at which it may pass over it [m].
-        full_steps: Whether every action has its full length and cuts corners, or ends at each
-            waypoint.
+        full_steps: Whether every action has its full length and cuts corners, and the approach
+            goes over no more than what lies on its way; or an action ends at each waypoint.
     """
 
     clearance: float = 0.03
@@ -51,14 +52,15 @@ class Route:
 
     Attributes:
         push: Waypoints of the push (N, 3) [m].
-        corners: Of the approach, and these (K, 3) [m].
+        approach: The last one, to its start.
         waypoints: What is left of the way (M, 3) [m].
     """
 
     def __init__(self, config: RouteConfig | None = None) -> None:
         """Begin without a push."""
         self.config = config or RouteConfig()
-        self.push = self.corners = np.zeros((0, 3))
+        self.push = np.zeros((0, 3))
+        self.approach: Approaches | None = None
         self._follow(self.push)
 
     def begin(self, path: Floats, ee: Floats, target: Floats, others: Floats) -> None:
@@ -101,10 +103,12 @@ class Route:
 
     def _approach(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Go to the push's start."""
-        over = approaches(self.push[:1], ee, target, others, self.config)
-        above = over.waypoints[0][[bool(over.rises[0]), bool(over.flies[0])]]
-        self.corners = np.vstack([above, self.push])
-        self._follow(steps_along(ee, self.corners) if self.config.full_steps else self.corners)
+        self.approach = approaches(self.push[:1], ee, target, others, self.config)
+        way = self.approach.corners[0]
+        turns = np.linalg.norm(np.diff([ee, *way, self.push[0]], axis=0), axis=1) > 0
+        # Nothing turns at the end effector, nor twice at the push's start.
+        way = np.vstack([way[turns[:-1] & turns[1:]], self.push])
+        self._follow(steps_along(ee, way) if self.config.full_steps else way)
 
     def _rejoin(self, ee: Floats, target: Floats, others: Floats) -> None:
         """Approach again if something else has carried the end effector away from the way."""
@@ -171,18 +175,16 @@ def waypoints_along(
 
 @dataclass(frozen=True)
 class Approaches:
-    """Ways to the starts of n pushes: at their height where nothing lies between, else over all.
+    """Ways to the starts of n pushes: straight where nothing lies between, else over it.
 
     Attributes:
-        flies: Which go over the heap (n,).
-        rises: Which of these go straight up at first (n,).
-        waypoints: Where those are that rise, and above the start (n, 2, 3) [m]; the end effector
-            and the start where they do not.
+        flies: Which go over something (n,).
+        corners: Between the end effector and the starts (n, K, 3) [m]; a way that has fewer is
+            at its ends for the others.
     """
 
     flies: NDArray[np.bool_]
-    rises: NDArray[np.bool_]
-    waypoints: Floats
+    corners: Floats
 
 
 def approaches(
@@ -190,15 +192,56 @@ def approaches(
 ) -> Approaches:
     """Return the ways to the starts (n, 3) [m] of pushes; see `Route.begin`."""
     objects = np.vstack([target, others])
+    if config.full_steps:
+        return _over_what_lies_between(starts, ee, objects, config)
     clear = _are_clear(ee, np.vstack([starts, ee]), objects, config)
     highest = np.maximum(objects[:, 2].max(), starts[:, 2] - config.travel_clearance)
     travel = np.minimum(highest + config.travel_clearance, config.highest)
     flies = ~clear[:-1]
+    # Straight up at first where it is not above everything yet.
     rises = flies & (ee[2] < travel - 0.03) & ~clear[-1]
-    waypoints = np.stack([np.broadcast_to(ee, starts.shape), starts], axis=1)
-    waypoints[:, 0, 2][rises] = travel[rises]
-    waypoints[:, 1, 2][flies] = travel[flies]
-    return Approaches(flies, rises, waypoints)
+    corners = np.stack([np.broadcast_to(ee, starts.shape), starts], axis=1)
+    corners[:, 0, 2][rises] = travel[rises]
+    corners[:, 1, 2][flies] = travel[flies]
+    return Approaches(flies, corners)
+
+
+_POSTS = 16
+"""Places along an approach at which what lies there is measured, both ends among them."""
+
+
+def _over_what_lies_between(
+    starts: Floats, ee: Floats, objects: Floats, config: RouteConfig
+) -> Approaches:
+    """Return the shortest ways that pass above all that lies beside them."""
+    span = starts[:, :2] - ee[:2]
+    length = np.maximum((span * span).sum(axis=1), np.finfo(float).tiny)
+    x, y = (objects[:, :2] - ee[:2]).T
+    along = np.clip((span[:, :1] * x + span[:, 1:] * y) / length[:, None], 0, 1)
+    beside = np.hypot(x - along * span[:, :1], y - along * span[:, 1:]) <= config.beside
+    way, point = np.nonzero(beside)
+    least = np.zeros((len(starts), _POSTS))
+    post = np.rint(along[way, point] * (_POSTS - 1)).astype(np.intp)
+    np.maximum.at(least, (way, post), objects[point, 2] + config.travel_clearance)
+    np.minimum(least, config.highest, out=least)
+    share = np.linspace(0, 1, _POSTS)
+    straight = ee[2] + share * (starts[:, 2:] - ee[2])
+    corners = np.empty((len(starts), _POSTS, 3))
+    corners[..., :2] = ee[:2] + share[:, None] * span[:, None]
+    corners[..., 2] = _hull(np.maximum(least, straight))
+    return Approaches((least > straight).any(axis=1), corners)
+
+
+def _hull(heights: Floats) -> Floats:
+    """Return the least concave heights that are nowhere below these (n, K), evenly spaced."""
+    hull = heights.copy()
+    number = heights.shape[1]
+    for place in range(1, number - 1):
+        before, after = place - np.arange(place), np.arange(1, number - place)
+        share = after / (before[:, None] + after)
+        chords = heights[:, :place, None] * share + heights[:, None, place + 1 :] * (1 - share)
+        np.maximum(hull[:, place], chords.max(axis=(1, 2)), out=hull[:, place])
+    return hull
 
 
 def _are_clear(

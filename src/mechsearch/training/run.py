@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from mechsearch.files import (
     write_record,
 )
 from mechsearch.heaps.dataset import HeapSet, open_heaps
-from mechsearch.processes import Progress, silent
+from mechsearch.processes import Mapper, Progress, map_in_order, silent
 from mechsearch.training.assemble import assemble
 from mechsearch.training.config import run_config
 from mechsearch.training.loop import learn
@@ -61,6 +61,8 @@ def train(
     objects: str = "",
     resume: bool = False,
     progress: Progress = silent,
+    workers: int = 1,
+    mapper: Mapper = map_in_order,
     **options: Any,
 ) -> dict[str, float]:
     """Train, and write the run directory; return the last evaluation.
@@ -72,6 +74,8 @@ def train(
         objects: Object set; empty takes the one that the heaps name.
         resume: Go on from the last checkpoint.
         progress: Told as the run goes on.
+        workers: Processes, where pushes are learnt; the run does not depend on their number.
+        mapper: How work is spread over them.
         options: Of the run, by name, such as `actions=2000`, `seed=1` or `max_actions=30`.
 
     Raises:
@@ -83,7 +87,7 @@ def train(
     with alone(directory / "run", f"the run {directory}"):
         heap_set, found = open_heaps(inputs.heaps, inputs.objects)
         _record(inputs, heap_set, directory, resume, fingerprint(run.schedule.threads))
-        setup = assemble(run, heap_set, found)
+        setup = replace(assemble(run, heap_set, found), workers=workers, mapper=mapper)
         return learn(run, setup, directory, resume, _Watched(directory, progress))
 
 
