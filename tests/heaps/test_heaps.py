@@ -301,6 +301,11 @@ def test_joined_sets_are_one_of_all_their_heaps(small, tmp_path):
     assert [h.seed for h in joined.heaps] == [h.seed for h in (*small[1].heaps, *dual.heaps)]
     assert joined.condition == "single+dual"
     assert joined.manifest["parts"] == [small[1].manifest, dual.manifest]
+    # A joined set is joined like any other, and remembers the first ones.
+    more = replace(dual, heaps=tuple(replace(h, seed=h.seed + 1) for h in dual.heaps))
+    both = join_heaps([joined, more], tmp_path / "both.parquet")
+    assert (len(both.heaps), both.condition) == (len(joined.heaps) + len(dual.heaps), "single+dual")
+    assert both.manifest["parts"] == [small[1].manifest, dual.manifest, dual.manifest]
     for sets, words in (([dual], "exists already"), ([dual, dual], "exists already")):
         with pytest.raises(MechSearchError, match=words):
             join_heaps(sets, path)

@@ -219,6 +219,25 @@ def test_with_one_try_the_best_push_is_executed_and_a_random_one_now_and_then(pl
     assert executed(explore=1.0)[0] == 0
 
 
+def test_a_push_that_takes_no_action_is_followed_by_another(plus, make_env, monkeypatch):
+    session, first = begun(plus, make_env), []
+    begin = session.policy.begin
+
+    def begun_at_its_end(push, sight):
+        planned = begin(push, sight)
+        if not first:
+            first.append(planned)
+            planned.act = lambda obs: None
+        return planned
+
+    monkeypatch.setattr(session.policy, "begin", begun_at_its_end)
+    episode = session.episodes(0)
+    assert episode.summary["actions"] > 0
+    assert len(episode.followed) <= episode.summary["pushes"]
+    # Nothing was learnt of it, but of what was tried beside it.
+    assert len(episode.samples) == plus.algorithm.tries * (episode.summary["pushes"] + 1) - 1
+
+
 def test_more_tries_than_candidates_are_refused(plus):
     with pytest.raises(MechSearchError, match="tries is 13, but 12 candidates"):
         plus.changed(tries=13)

@@ -232,15 +232,15 @@ def join_heaps(sets: Sequence[HeapSet], path: Path) -> HeapSet:
         raise MechSearchError("a heap is in two of the heap sets; expected each once")
     configs = [one.manifest["config"] for one in sets]
     shared = {k: v for k, v in configs[0].items() if all(c.get(k) == v for c in configs)}
-    conditions = "+".join(dict.fromkeys(one.condition for one in sets))
-    drops = sum(sum(one.manifest["attempts"].values()) for one in sets)
+    conditions = "+".join(dict.fromkeys(c for one in sets for c in one.condition.split("+")))
+    drops = sum(round(len(one.heaps) / one.manifest["acceptance_rate"]) for one in sets)
     manifest = {
         "format": HEAPS_FORMAT,
         "config": {"seed": None, **shared, "condition": conditions, "heaps": len(heaps)},
         "engine": first.manifest["engine"],
         "object_hashes": hashes,
         "acceptance_rate": len(heaps) / max(drops, 1),
-        "parts": [one.manifest for one in sets],
+        "parts": [part for one in sets for part in one.manifest.get("parts", [one.manifest])],
     }
     return save_heaps(path, heaps, manifest)
 

@@ -140,8 +140,10 @@ class Episodes:
             simulated += sum(len(rollout.actions) for rollout in tried)
             others = self._see_again(snapshot, number) if sight.target.any() else []
             push = self.policy.begin(pushes[0], sight)
-            rollouts.append(roll_out(self.env, rollouts[-1].obs, push.act))
-            outcomes = [outcome_of(rollout) for rollout in (rollouts[-1], *tried)]
+            done = roll_out(self.env, rollouts[-1].obs, push.act)
+            # A push whose way ends where the end effector is takes no action: choose another.
+            rollouts += [done] if done.actions else []
+            outcomes = [outcome_of(rollout) for rollout in (done, *tried)]
             samples += [_samples(pushes, sight, other, outcomes) for other in (sight, *others)]
         summary = _summary(heap, rollouts[1:], simulated)
         return EpisodeOfPushes(PushSamples.joined(samples), _followed(rollouts[1:]), summary)
