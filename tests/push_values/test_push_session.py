@@ -235,7 +235,8 @@ def test_a_push_that_takes_no_action_is_followed_by_another(plus, make_env, monk
     assert episode.summary["actions"] > 0
     assert len(episode.followed) <= episode.summary["pushes"]
     # Nothing was learnt of it, but of what was tried beside it.
-    assert len(episode.samples) == plus.algorithm.tries * (episode.summary["pushes"] + 1) - 1
+    assert (episode.samples.outcomes[:, 1] > 0).all()
+    assert len(episode.samples) > plus.algorithm.tries
 
 
 def test_more_tries_than_candidates_are_refused(plus):
