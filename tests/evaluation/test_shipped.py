@@ -26,7 +26,7 @@ needs_torch = pytest.mark.skipif(
 def test_a_card_is_that_of_the_weights_beside_it(name):
     told = card(name)
     assert told["sha256"] == hashlib.sha256(shipped_file(name).read_bytes()).hexdigest()
-    expected = {"search": "single+dual"}.get(name, "dual" if "dual" in name else "single")
+    expected = {"uncover": "single+dual"}.get(name, "dual" if "dual" in name else "single")
     assert told["trained_on"]["condition"] == expected
     assert told["scored_on"]["split"] == "held-out"
     assert told["scored_on"]["heaps"] == 300
@@ -48,5 +48,5 @@ def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
 
 
 def test_no_other_policy_is_shipped():
-    with pytest.raises(MechSearchError, match="choose one of single, dual, search"):
+    with pytest.raises(MechSearchError, match="choose one of uncover, single, dual"):
         shipped_file("triple")

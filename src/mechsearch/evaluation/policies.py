@@ -54,9 +54,9 @@ SHAPES = (straight, zigzag, spiral)
 WITHOUT_SUCCESS = 100.0
 """What a trial that does not uncover the target is behind those that do."""
 
-SHIPPED_POLICIES = ("single", "dual", "search", "retrieve", "retrieve-dual")
-"""Trained policies that are shipped: two that uncover, for either condition; one that looks for a
-target of which nothing is seen; two that retrieve."""
+SHIPPED_POLICIES = ("uncover", "single", "dual", "retrieve", "retrieve-dual")
+"""Trained policies that are shipped: one that uncovers in any heap, and looks for a target of which
+nothing is seen; two that uncover as the paper's budget lets them; two that retrieve."""
 
 UNCOVER, RETRIEVE = "uncover", "retrieve"
 """What a policy is after: its attribute `goal`, the first one where it has none."""
