@@ -68,16 +68,13 @@ class PushValuesSession:
 
     def _act(self, networks: Sequence[PushValue], continuation: Continuation) -> None:
         """Go on by other networks; whatever was played ahead by the old ones is left."""
-        self.episodes.policy = self._policy(networks, continuation)
-        self._played: Iterator[EpisodeOfPushes] | None = None
-
-    def _policy(self, networks: Sequence[PushValue], continuation: Continuation) -> PushPolicy:
-        task = self._run.task
+        task, plan = self._run.task, self.config
         config = PushPolicyConfig(
-            self.config.candidates, task.camera, task.image_size, task.reward.idleness,
-            self.config.searches, self.config.full_steps,
+            plan.candidates, task.camera, task.image_size, task.reward.idleness,
+            plan.searches, plan.full_steps,
         )  # fmt: skip
-        return PushPolicy(networks, continuation, config)
+        self.episodes.policy = PushPolicy(networks, continuation, config)
+        self._played: Iterator[EpisodeOfPushes] | None = None
 
     @property
     def executed(self) -> int:
@@ -93,7 +90,7 @@ class PushValuesSession:
         self.remember(episode)
         self.counts["episodes"] += 1
         self.counts["executed"] += episode.summary["actions"]
-        self.counts["simulated"] += episode.summary["simulated"]
+        self.counts["simulated"] += episode.summary["tried"]
         # Episodes are noted under the round number of actions of the next fit.
         step = (self.counts["fits"] + 1) * self._run.schedule.evaluate_every
         yield [Line("episode", step, {"executed": self.executed, **episode.summary})]

@@ -132,12 +132,12 @@ class Episodes:
         heap, seed = int(rng.choice(self._heaps)), int(rng.integers(2**31))
         obs, _ = self.env.reset(seed=seed, options={"heap": heap})
         self.policy.reset(rng)
-        samples, rollouts, simulated = [], [Rollout(obs)], 0
+        samples, rollouts, count = [], [Rollout(obs)], 0
         while rollouts[-1].end is None:
             sight = self.policy.see(rollouts[-1].obs)
             pushes, snapshot = self._choose(sight, rng), self.env.snapshot()
             tried = self._try(snapshot, pushes[1:], sight)
-            simulated += sum(len(rollout.actions) for rollout in tried)
+            count += sum(len(rollout.actions) for rollout in tried)
             others = self._see_again(snapshot, number) if sight.target.any() else []
             push = self.policy.begin(pushes[0], sight)
             done = roll_out(self.env, rollouts[-1].obs, push.act)
@@ -145,7 +145,7 @@ class Episodes:
             rollouts += [done] if done.actions else []
             outcomes = [outcome_of(rollout) for rollout in (done, *tried)]
             samples += [_samples(pushes, sight, other, outcomes) for other in (sight, *others)]
-        summary = _summary(heap, rollouts[1:], simulated)
+        summary = _summary(heap, rollouts[1:], count)
         return EpisodeOfPushes(PushSamples.joined(samples), _followed(rollouts[1:]), summary)
 
     def _choose(self, sight: Sight, rng: np.random.Generator) -> list[Push]:
@@ -215,7 +215,7 @@ def _followed(rollouts: Sequence[Rollout]) -> torch.Tensor:
     return torch.tensor(rows, dtype=torch.float32).reshape(-1, 2)
 
 
-def _summary(heap: int, rollouts: Sequence[Rollout], simulated: int) -> dict[str, Any]:
+def _summary(heap: int, rollouts: Sequence[Rollout], tried: int) -> dict[str, Any]:
     terms = {
         f"term_{name}": float(sum(rollout.terms[name] for rollout in rollouts))
         for name in rollouts[0].terms
@@ -225,7 +225,7 @@ def _summary(heap: int, rollouts: Sequence[Rollout], simulated: int) -> dict[str
         "end": rollouts[-1].end,
         "actions": sum(len(rollout.actions) for rollout in rollouts),
         "pushes": len(rollouts),
-        "simulated": simulated,
+        "tried": tried,
         "return": sum(terms.values()),
         **terms,
     }
