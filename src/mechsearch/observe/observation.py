@@ -16,6 +16,7 @@ from mechsearch.types import (
     Array,
     Floats,
     MechSearchError,
+    TooManyHolesError,
     real_array,
     select,
 )
@@ -249,14 +250,15 @@ def without_holes(depth: Any, name: str = "depth") -> Array:
         name: What it is called in errors.
 
     Raises:
-        MechSearchError: If it is no image in metres, or half of it or more are holes.
+        TooManyHolesError: If half of it or more are holes.
+        MechSearchError: If it is no image in metres.
     """
     image, measured = measured_pixels(depth, name)
     if measured is None:
         return image
     holes = 1.0 - float(measured.mean())
     if holes >= MOST_HOLES:
-        raise MechSearchError(
+        raise TooManyHolesError(
             f"{name} has no depth, 0 or not finite, in {holes:.0%} of its pixels; expected less "
             f"than {MOST_HOLES:.0%}"
         )

@@ -1,6 +1,7 @@
 """One episode of pushes: gone through in this process or another, and kept as a file."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import PushOutcome, PushSamples, PushValueConfig
 from mechsearch.pushes.push import PlannedPush, Push, Sight, look, view_pushes
-from mechsearch.types import Array, MechSearchError
+from mechsearch.types import Array, MechSearchError, TooManyHolesError
 
 _EPISODE_KIND = "mechsearch pushes"
 
@@ -175,10 +176,12 @@ class Episodes:
         return rollouts
 
     def _see_again(self, snapshot: dict[str, Array], number: int) -> list[Sight]:
-        """Return a decision as the other sensors see it, where they see the target."""
+        """Return a decision as the other sensors see it, where they see enough and the target."""
         assert self.policy is not None
-        episode = {"episode": np.array(number)}
-        sights = [look(env.restore(snapshot | episode), self.policy.camera) for env in self._also]
+        episode, sights = {"episode": np.array(number)}, []
+        for env in self._also:
+            with suppress(TooManyHolesError):
+                sights.append(look(env.restore(snapshot | episode), self.policy.camera))
         return [sight for sight in sights if sight.centre is not None]
 
 
