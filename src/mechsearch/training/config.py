@@ -11,7 +11,7 @@ from mechsearch.algorithm import Algorithm, RunConfig, Schedule
 from mechsearch.entry_point import called, is_entry_point, load_entry_point
 from mechsearch.env import RetrievalTask, TaskConfig, task_from_json
 from mechsearch.files import read_record, record_from_json, write_record
-from mechsearch.push_values.algorithm import PushValues
+from mechsearch.push_values.algorithm import PushValueConfig, PushValues
 from mechsearch.retrieval_values.algorithm import RetrievalValues
 from mechsearch.types import ACTOR_KEYS, RGB_ACTOR_KEYS, MechSearchError
 
@@ -68,6 +68,11 @@ Run = RunConfig[Any]
 _RETRIEVAL = Schedule(actions=2500, evaluate_every=500, checkpoint_every=500, validation_heaps=20)
 """Of `retrieve`, whose actions are dearer: at each decision many others are tried."""
 
+_UNCOVER = Schedule(
+    actions=80_000, evaluate_every=16_000, checkpoint_every=16_000, validation_heaps=0
+)
+"""Of `uncover`, which wants many heaps, and whose fits take as long as thousands of actions."""
+
 
 def _presets() -> Mapping[str, Run]:
     base = ActorCritic()
@@ -99,13 +104,20 @@ def _presets() -> Mapping[str, Run]:
     presets["retrieve"] = RunConfig(
         "retrieve", RetrievalValues(), task=RetrievalTask(), schedule=_RETRIEVAL
     )
+    # Each decision is seen by three sensors, so that three epochs see an outcome nine times.
+    everywhere = PushValues(
+        tries=4, searches=True, full_steps=True, also=("stereo", "harsh"),
+        value=PushValueConfig(epochs=3.0, gentleness=90.0),
+    )  # fmt: skip
+    presets["uncover"] = RunConfig("uncover", everywhere, schedule=_UNCOVER)
     short = Schedule(actions=120, evaluate_every=60, checkpoint_every=60, validation_heaps=2)
     return presets | {"debug": replace(presets["debug"], schedule=short)}
 
 
 PRESETS = _presets()
 """The method, its baseline and ablations (paper, section IV), `plus` (pushes), the paper's own loss
-(`as-printed`) with its ablations, `retrieve` (pushes, removals and grasps), and `debug`."""
+(`as-printed`) with its ablations, `retrieve` (pushes, removals and grasps), `uncover` (what `plus`
+learns, for every heap and camera), and `debug`."""
 
 
 def run_config(name: str) -> Run:
