@@ -99,10 +99,6 @@ class MechSearchError(Exception):
     """Bad input: the message names the value, what was expected and the valid choices."""
 
 
-class TooManyHolesError(MechSearchError):
-    """A depth image that measures too little to be read."""
-
-
 EXTRAS = {
     "learn": ("PyTorch", "torch"),
     "report": ("Matplotlib", "matplotlib"), "meshes": ("CoACD", "coacd"),

@@ -263,3 +263,13 @@ def test_a_mounted_evaluation_is_kept_and_verified(tmp_path):
 def test_retrieval_is_not_seen_from_aside():
     with pytest.raises(MechSearchError, match=r"mounted is '35 0\.9 320x240'; expected nothing"):
         RetrieveConfig(mounted=ASIDE)
+
+
+def test_an_episode_goes_on_where_most_of_an_image_is_holes_and_not_where_all_is(covered, boxes):
+    """The table is out of this camera's range, which no camera of a robot may lose."""
+    env = make(covered, boxes, "perfect farthest=0.99")
+    env.reset(seed=0)
+    depth = env.step(np.zeros(3))[0]["depth"]
+    assert 0 < depth.min() <= depth.max() < 0.99
+    with pytest.raises(MechSearchError, match="no depth, 0 or not finite, in 100% of its pixels"):
+        make(covered, boxes, "perfect farthest=0.5").reset(seed=0)

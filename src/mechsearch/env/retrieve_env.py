@@ -255,7 +255,7 @@ class RetrieveEnv(SceneEnv[GripperWorld | ArmGripperWorld]):
                 grasp_camera(), step, poses, None,
                 lambda frame: numbered(frame.ids, len(poses), scene.heap.target)[0], level=True,
             )  # fmt: skip
-            seen["grasp_depth"] = without_holes(depth, "grasp_depth")
+            seen["grasp_depth"] = without_holes(depth, "grasp_depth", most=1.0)
         for kind, key in enumerate(BUDGET_KEYS):
             seen[key] = np.array([self._left(kind)])
         seen[OCCLUSION_KEY] = np.array([scene.occlusion])

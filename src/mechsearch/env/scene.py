@@ -602,6 +602,6 @@ def choose_heaps(
 def _levelled(depth: Array, masks: Array, camera: Camera) -> tuple[Array, Array]:
     """Return an image held against its table; masks go on in holes, which stay holes."""
     marked = masks + _HOLE * (depth == 0)
-    view = reproject(without_holes(depth), camera, camera, marked)
+    view = reproject(without_holes(depth, most=1.0), camera, camera, marked)
     seen = np.asarray(view.mask)
     return np.where(seen >= _HOLE, 0, view.depth), (seen % _HOLE).astype(masks.dtype)

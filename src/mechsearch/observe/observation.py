@@ -16,7 +16,6 @@ from mechsearch.types import (
     Array,
     Floats,
     MechSearchError,
-    TooManyHolesError,
     real_array,
     select,
 )
@@ -154,7 +153,8 @@ class Observer:
         return {key: getattr(self, f"_{key}")(scene) for key in self.keys}
 
     def _depth(self, scene: Scene) -> Array:
-        return np.asarray(without_holes(scene.depth), np.float16)[None]
+        # A simulated sensor may lose more than is accepted of a camera, and the episode goes on.
+        return np.asarray(without_holes(scene.depth, most=1.0), np.float16)[None]
 
     def _position_image(self, scene: Scene) -> Array:
         mask, depth = np.asarray(scene.target_mask), np.asarray(scene.depth)
@@ -238,7 +238,7 @@ def _rays(camera: Camera) -> tuple[Floats, Floats]:
     return pose[:3, 3], np.ascontiguousarray(rays.T)
 
 
-def without_holes(depth: Any, name: str = "depth") -> Array:
+def without_holes(depth: Any, name: str = "depth", most: float = MOST_HOLES) -> Array:
     """Return a depth image as a policy reads it: the one way to take a camera's image.
 
     Holes are pixels that are not above 0 or not finite, as depth cameras give them where they
@@ -248,19 +248,19 @@ def without_holes(depth: Any, name: str = "depth") -> Array:
     Args:
         depth: (H, W) or (1, H, W), floating-point numbers [m].
         name: What it is called in errors.
+        most: Share of holes from which on it is refused.
 
     Raises:
-        TooManyHolesError: If half of it or more are holes.
-        MechSearchError: If it is no image in metres.
+        MechSearchError: If it is no image in metres, or so much of it are holes.
     """
     image, measured = measured_pixels(depth, name)
     if measured is None:
         return image
     holes = 1.0 - float(measured.mean())
-    if holes >= MOST_HOLES:
-        raise TooManyHolesError(
+    if holes >= most:
+        raise MechSearchError(
             f"{name} has no depth, 0 or not finite, in {holes:.0%} of its pixels; expected less "
-            f"than {MOST_HOLES:.0%}"
+            f"than {most:.0%}"
         )
     check_metres(image[measured], name)
     if not holes:

@@ -1,7 +1,6 @@
 """One episode of pushes: gone through in this process or another, and kept as a file."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from mechsearch.files.tensors import Archive, load_archive, save_archive
 from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
 from mechsearch.push_values.value import PushOutcome, PushSamples, PushValueConfig
 from mechsearch.pushes.push import PlannedPush, Push, Sight, look, view_pushes
-from mechsearch.types import Array, MechSearchError, TooManyHolesError
+from mechsearch.types import Array, MechSearchError
 
 _EPISODE_KIND = "mechsearch pushes"
 
@@ -176,12 +175,10 @@ class Episodes:
         return rollouts
 
     def _see_again(self, snapshot: dict[str, Array], number: int) -> list[Sight]:
-        """Return a decision as the other sensors see it, where they see enough and the target."""
+        """Return a decision as the other sensors see it, where they see the target."""
         assert self.policy is not None
-        episode, sights = {"episode": np.array(number)}, []
-        for env in self._also:
-            with suppress(TooManyHolesError):
-                sights.append(look(env.restore(snapshot | episode), self.policy.camera))
+        episode = {"episode": np.array(number)}
+        sights = [look(env.restore(snapshot | episode), self.policy.camera) for env in self._also]
         return [sight for sight in sights if sight.centre is not None]
 
 
