@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mechsearch.pushes.chooser import PushChooser
-from mechsearch.pushes.push import PlannedPush, draw_places, draw_pushes, view_pushes
+from mechsearch.pushes.push import draw_places, draw_pushes, view_pushes
 
 APART = np.array([[-0.1, 0.0, 0.05], [0.1, 0.0, 0.1]])
 """Two piles of one point each, too far apart to count for one another."""
@@ -61,20 +61,6 @@ def test_one_that_was_seen_is_also_looked_for_there(searcher, sight):
     drawn = searcher.draw(hidden(sight, searcher._last_seen), np.random.default_rng(0))
     assert [push.offset for push in drawn[:20]] == [(0.0, 0.0)] * 20
     assert all(abs(push.offset[1] + 0.1) < 1e-9 for push in drawn[20:])
-
-
-def test_what_may_cover_the_target_is_pushed_up_to_its_top(searcher, sight):
-    """A cup is tipped there; a target that was seen low may be under one now."""
-    searcher._last_seen = np.array([0.0, 0.1, 0.01])
-    searcher.candidates = 2000
-    unseen = hidden(sight, searcher._last_seen)
-    drawn = searcher.draw(unseen, np.random.default_rng(0))
-    tips = np.array([PlannedPush(push, unseen).start[2] for push in drawn])
-    x = np.array([push.offset[0] for push in drawn])
-    for there, top in ((x < -0.05, 0.05), (x > 0.05, 0.1), (x == 0, 0.03)):
-        low, high = tips[there].min(), tips[there].max()
-        assert (low, high) == pytest.approx((0.02, top + 0.01), abs=1e-3)
-        assert tips[there].mean() == pytest.approx((low + high) / 2, rel=0.05)
 
 
 def test_where_it_looked_is_remembered_until_the_next_episode(searcher, sight):

@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mechsearch.camera import Camera
-from mechsearch.pushes.push import (
-    PlannedPush,
-    Push,
-    Sight,
-    draw_places,
-    draw_pushes,
-    draw_tips,
-    look,
-)
+from mechsearch.pushes.push import PlannedPush, Push, Sight, draw_places, draw_pushes, look
 from mechsearch.types import ACTOR_KEYS, PUSH, Floats, Observation, Weighed
 
 _UNSEEN = np.array([0.0, 0.0, 0.03])
@@ -85,20 +77,19 @@ class PushChooser(ABC):
         """Return random pushes to judge.
 
         Of a searcher, they are about places all over the heap where the target is hidden; half of
-        them about where it was seen last, if it ever was. They are as high as what stands there.
+        them, if it was seen before.
         """
         pushes = draw_pushes(self.candidates, rng, self.full_steps)
-        heap, seen = sight.obstacles, self._last_seen
-        if not self.searches or sight.target.any() or not len(heap):
+        if not self.searches or sight.target.any() or not len(sight.obstacles):
             return pushes
-        first = 0 if seen is _UNSEEN else len(pushes) // 2
-        places = np.tile(seen[:2], (len(pushes), 1))
-        places[first:] = draw_places(len(pushes) - first, heap, self._looked, rng)
-        offsets, heights = (places - seen[:2]).tolist(), draw_tips(places, heap, rng) - seen[2]
-        return [
-            replace(push, offset=(x, y), height=float(height))
-            for push, (x, y), height in zip(pushes, offsets, heights, strict=True)
+        first = 0 if self._last_seen is _UNSEEN else len(pushes) // 2
+        places = draw_places(len(pushes) - first, sight.obstacles, self._looked, rng)
+        offsets = (places - self._last_seen[:2]).tolist()
+        moved = [
+            replace(push, offset=(x, y))
+            for push, (x, y) in zip(pushes[first:], offsets, strict=True)
         ]
+        return [*pushes[:first], *moved]
 
     def begin(self, push: Push, sight: Sight) -> PlannedPush:
         """Return a push as it is carried out; where it looks for the target is remembered."""

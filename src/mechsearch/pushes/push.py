@@ -159,14 +159,10 @@ def _uniform(low: float, high: float, rng: np.random.Generator) -> float:
 
 
 _BULK = 0.03
-"""What is near enough to hide a target at a place: the std of a window [m], and its reach."""
+"""What is near enough to hide a target at a place: the std of a window [m]."""
 
 _LOOKED, _LOOKED_SHARE = 0.05, 0.3
 """Distance within which a place was looked at [m], and how often it is drawn again, relatively."""
-
-_LEAST_TOP, _OVER_TOP = 0.03, 0.01
-"""A push about a hidden target goes at most so high above what stands there, which is taken for at
-least so high [m]: a cup that covers it is tipped at its upper end."""
 
 
 def draw_places(
@@ -190,22 +186,6 @@ def draw_places(
         weights *= np.where(near, _LOOKED_SHARE, 1.0)
     places: Floats = heap[:, :2][rng.choice(len(heap), count, p=weights / weights.sum())]
     return places
-
-
-def draw_tips(places: Floats, heap: Floats, rng: np.random.Generator) -> Floats:
-    """Return heights of the fingertip (n,) [m] for pushes about hidden targets at places (n, 2).
-
-    They are between the lowest that a push may go and the top of what stands there.
-
-    Args:
-        places: Where the targets may be (n, 2) [m].
-        heap: Points on everything that stands on the table (N, 3) [m], N at least 1.
-        rng: Draws.
-    """
-    away = ((places[:, None] - heap[:, :2]) ** 2).sum(axis=-1)
-    tops = np.where(away < _BULK**2, heap[:, 2], _LEAST_TOP).max(axis=1)
-    tips: Floats = rng.uniform(_SEEN.lowest, tops + _OVER_TOP)
-    return tips
 
 
 PATCH = (4, 32, 32)
