@@ -153,7 +153,6 @@ class Observer:
         return {key: getattr(self, f"_{key}")(scene) for key in self.keys}
 
     def _depth(self, scene: Scene) -> Array:
-        # A simulated sensor may lose more than is accepted of a camera, and the episode goes on.
         return np.asarray(without_holes(scene.depth, most=1.0), np.float16)[None]
 
     def _position_image(self, scene: Scene) -> Array:
@@ -248,7 +247,8 @@ def without_holes(depth: Any, name: str = "depth", most: float = MOST_HOLES) -> 
     Args:
         depth: (H, W) or (1, H, W), floating-point numbers [m].
         name: What it is called in errors.
-        most: Share of holes from which on it is refused.
+        most: Share of holes from which on it is refused; 1 for a simulated sensor, which may lose
+            more than is accepted of a camera, and the episode goes on.
 
     Raises:
         MechSearchError: If it is no image in metres, or so much of it are holes.
