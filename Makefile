@@ -51,7 +51,7 @@ test-release: $(READY)
 	rm -rf dist
 	$(BIN)/hatchling build
 	cd packaging/robot && $(abspath $(BIN))/hatchling build -t wheel -d ../../dist/robot
-	$(BIN)/mechsearch export policy single --out dist/robot/single
+	$(BIN)/mechsearch export policy uncover --out dist/robot/uncover
 	tests/release.sh $(BIN)/uv requirements.txt dist $(PYTHONS)
 
 # The pages of `mechsearch show` and `view` in a real browser without a screen.

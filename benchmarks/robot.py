@@ -26,21 +26,21 @@ _SHAPES = {"depth": (1, 64, 64), "position_image": (3, 64, 64), "ee_position": (
 
 
 def measure(settings: Settings) -> Iterator[Figure]:
-    """Decide on what a random walk through heaps shows, by `single` and by an untrained actor."""
+    """Decide on what a random walk through heaps shows, by `uncover` and by an untrained actor."""
     workload, count = settings.workload, 1000 if settings.full else 100
     config = HeapEnvConfig(camera=workload.heap_set.camera)
     env = HeapEnv(workload.heaps(15, settings.heaps), workload.object_set, config)
     seen = _seen(env, count)
-    single = policy_named("single")
-    inner: Any = getattr(single, "policy", single)
+    uncover = policy_named("uncover")
+    inner: Any = getattr(uncover, "policy", uncover)
     torch.manual_seed(0)
     actor = ActorPolicy(Actor(_SHAPES, NetworkConfig(directions=True, output_bound=0.5)))
     with TemporaryDirectory() as place:
         weights = Path(place, "actor.safetensors")
         save_policy(trained(actor, ActorCritic(), 0, TaskConfig()), weights)
-        for name in ("single", str(weights)):
+        for name in ("uncover", str(weights)):
             export_policy(name, Path(place, Path(name).stem))
-        carried: Any = open_policy(Path(place, "single"))
+        carried: Any = open_policy(Path(place, "uncover"))
         own: Any = open_policy(Path(place, "actor"))
     same, apart = 0, 0.0
     for i, obs in enumerate(seen):

@@ -31,7 +31,7 @@ class Options:
         copies: Simulators that err.
         errors: By how much in x and y, each a standard deviation [m].
         later: What is expected after a push that leaves the target covered, and how much less where
-            it is wholly hidden; here what followed the pushes of `single`.
+            it is wholly hidden; here what followed the pushes of `plus`.
         seed: Of pushes and errors.
     """
 

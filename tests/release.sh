@@ -29,14 +29,14 @@ base() {
 }
 
 learn() {
-	try mechsearch evaluate single --limit 1 --workers 1 --brief
+	try mechsearch evaluate uncover --limit 1 --workers 1 --brief
 	try mechsearch train debug --heaps household-single --actions 40 --validation-heaps 1 --out run
 }
 
 all() {
 	try mechsearch doctor
 	learn
-	try mechsearch show evaluations/single-*.npz --size 64 --out episode.mp4
+	try mechsearch show evaluations/uncover-*.npz --size 64 --out episode.mp4
 	try mechsearch report evaluations run --out report.html --pdf report.pdf
 	printf 'v -%s 0 0\nv %s 0 0\nv 0 .05 0\nv 0 0 .04\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n' .05 .05 >wedge.obj
 	mkdir -p toys && mv wedge.obj toys && printf 'object,mass_kg\nwedge,0.05\n' >toys/masses.csv
@@ -86,7 +86,7 @@ import time
 import numpy as np
 from mechsearch.robot.controller import Controller
 from mechsearch.robot.policy import open_policy
-policy = open_policy("$dist/robot/single")
+policy = open_policy("$dist/robot/uncover")
 side = policy.camera.height
 seen = np.zeros((3, side, side), np.float16)
 seen[:, 30:34, 30:34] = 0.01

@@ -313,7 +313,7 @@ def test_the_committed_table_is_what_the_committed_submissions_give():
     ("policy", "change", "words"),
     [
         ("idle", {"task": "retrieve"}, "idle .* name the heap sets by --training-heaps"),
-        ("single", {}, "single has learnt, .* --training-heaps"),
+        ("uncover", {}, "uncover has learnt, .* --training-heaps"),
         ("idle", {"authors": ""}, "idle names no authors"),
         ("nobody", {}, "unknown policy 'nobody'"),
     ],

@@ -17,7 +17,7 @@ from mechsearch.report.document import Document, PageBeside, Section, to_html
 @pytest.fixture(scope="module")
 def evaluation():
     pytest.importorskip("torch")
-    return evaluate_plan(EvaluationPlan("single", limit=2))
+    return evaluate_plan(EvaluationPlan("uncover", limit=2))
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def live(browser, tmp_path):
 def test_a_live_page_shows_what_is_seen_and_acts_when_it_is_told_to(live):
     assert live.run("document.querySelectorAll('#seen img').length") == 2
     assert live.run("[...document.querySelectorAll('#seen img')].every(i => i.naturalWidth === 64)")
-    assert "single" in live.run("[...$('policy').options].map(o => o.value)")
+    assert "uncover" in live.run("[...$('policy').options].map(o => o.value)")
     live.click("#step")
     assert live.run("episode.tips.length") == 2
     live.click("#run")

@@ -63,7 +63,7 @@ def test_idle_stays() -> None:
 BAD = {
     "teacher-straight": ("target_offset", np.full(3, np.nan), "target_offset holds nan in 3 of 3"),
     "grasp-only": ("grasp_depth", np.full((512, 512), 800.0), "grasp_depth is 800 in the median"),
-    "single": ("position_image", np.full((3, 64, 64), np.nan), "position_image holds nan"),
+    "uncover": ("position_image", np.full((3, 64, 64), np.nan), "position_image holds nan"),
 }
 
 
@@ -90,7 +90,7 @@ def test_a_trained_policy_acts_on_depth_with_holes_as_on_what_fills_them() -> No
     obs, _ = mechsearch.make_env().reset(seed=0, options={"heap": 0, "fixed_start": True})
     holed = obs["depth"].copy()
     holed[0, 5:9, 30:40], holed[0, 40, 7] = np.nan, 0
-    policy, actions = make_policy("single"), []
+    policy, actions = make_policy("uncover"), []
     for depth in (holed, without_holes(holed)):
         policy.reset(np.random.default_rng(0))
         actions.append(policy.act({**obs, "depth": depth}))

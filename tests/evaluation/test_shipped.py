@@ -48,5 +48,5 @@ def test_a_shipped_policy_acts_right_away_on_embedded_heaps(name):
 
 
 def test_no_other_policy_is_shipped():
-    with pytest.raises(MechSearchError, match="choose one of uncover, single, dual"):
+    with pytest.raises(MechSearchError, match="choose one of uncover, retrieve, retrieve-dual"):
         shipped_file("triple")

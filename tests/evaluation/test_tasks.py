@@ -51,7 +51,7 @@ def test_the_task_is_that_of_the_run_in_any_versions_layout():
 
 def test_the_shipped_policies_have_a_task():
     pytest.importorskip("torch")
-    assert in_task(EvaluationPlan("dual"), lambda own: own).task == TaskConfig()
+    assert in_task(EvaluationPlan("uncover"), lambda own: own).task == TaskConfig()
 
 
 @pytest.mark.parametrize(("policy", "run"), [(Seeing(), NEW), (Seeing(), FLAT), (Bound(), {})])
@@ -81,8 +81,8 @@ def test_who_reads_no_images_or_says_nothing_acts_under_any_camera():
 def test_the_command_refuses_what_a_shipped_policy_cannot_see(words, tmp_path, capsys):
     pytest.importorskip("torch")
     with pytest.raises(SystemExit):
-        main(["evaluate", "idle", "single", "--out", str(tmp_path), *words])
-    assert "single sees through the overhead camera at 64 px" in capsys.readouterr().err
+        main(["evaluate", "idle", "uncover", "--out", str(tmp_path), *words])
+    assert "uncover sees through the overhead camera at 64 px" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -134,15 +134,15 @@ def weighed_of(page):
 
 
 @pytest.fixture(scope="module")
-def by_single():
+def by_uncover():
     pytest.importorskip("torch")
-    return evaluate_plan(EvaluationPlan("single", limit=2))
+    return evaluate_plan(EvaluationPlan("uncover", limit=2))
 
 
-def test_a_shipped_policy_is_asked_again_what_it_weighed(by_single):
+def test_a_shipped_policy_is_asked_again_what_it_weighed(by_uncover):
     models = object_set("household").models
-    for one in by_single.episodes:
-        found = weighed_again(by_single.header, one, models)
+    for one in by_uncover.episodes:
+        found = weighed_again(by_uncover.header, one, models)
         assert len(found) == len(one.actions)
         decisions = [each for each in found if each]
         assert found[0] is decisions[0]
@@ -154,26 +154,26 @@ def test_a_shipped_policy_is_asked_again_what_it_weighed(by_single):
         assert passed < 0.05
 
 
-def test_what_a_file_names_is_not_run_and_another_policy_has_weighed_nothing(by_single):
-    models, one = object_set("household").models, by_single.episodes[0]
-    foreign = {**by_single.header, "policy": "os:abort"}
+def test_what_a_file_names_is_not_run_and_another_policy_has_weighed_nothing(by_uncover):
+    models, one = object_set("household").models, by_uncover.episodes[0]
+    foreign = {**by_uncover.header, "policy": "os:abort"}
     assert weighed_again(foreign, one, models) == []
-    assert weighed_again(by_single.header, one, models, "dual") == []
-    assert len(weighed_again(foreign, one, models, "single")) == len(one.actions)
+    assert weighed_again(by_uncover.header, one, models, "idle") == []
+    assert len(weighed_again(foreign, one, models, "uncover")) == len(one.actions)
 
 
-def test_show_writes_a_page_of_an_episode(by_single, tmp_path, capsys):
-    save_episodes(tmp_path / "single.npz", by_single)
+def test_show_writes_a_page_of_an_episode(by_uncover, tmp_path, capsys):
+    save_episodes(tmp_path / "single.npz", by_uncover)
     main(
         ["show", str(tmp_path / "single.npz"), "--out", str(tmp_path / "a.html"), "--which", "best"]
     )
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     (episode,) = read(text)["episodes"]
-    best = max(by_single.episodes, key=lambda record: record.rewards.sum())
+    best = max(by_uncover.episodes, key=lambda record: record.rewards.sum())
     assert episode["hidden"] == pytest.approx(best.occlusions.tolist(), abs=1e-4)
     assert episode["weighed"]
     assert len(text) < 2_000_000
-    assert f"single on heap {best.heap_seed}: " in capsys.readouterr().out
+    assert f"uncover on heap {best.heap_seed}: " in capsys.readouterr().out
 
 
 def test_show_plays_a_submission_again(ycb_folder, tmp_path):

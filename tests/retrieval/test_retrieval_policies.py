@@ -85,7 +85,7 @@ def test_who_only_grasps_tries_another_way_after_a_failure(by_middle, covered, b
 def test_pushes_come_before_grasps_until_the_target_is_uncovered_or_none_is_left(
     by_middle, covered, boxes, uncovered_at, pushes
 ):
-    policy = UncoverThenGrasp("single", uncovered_at)
+    policy = UncoverThenGrasp("uncover", uncovered_at)
     done, _ = decisions(policy, covered, boxes, max_actions=3, max_grasps=1)
     assert [d.kind for d in done] == [PUSH] * pushes + [GRASP]
 

@@ -111,7 +111,7 @@ def rng_of(run, heap):
 
 def free(run, heap):
     env, obs = run.env, run.begun(heap)
-    policy, actions, over = policy_named("single"), 0, False
+    policy, actions, over = policy_named("uncover"), 0, False
     policy.reset(rng_of(run, heap))
     while not over:
         obs, _, ended, cut, _ = env.step(policy.act(obs))

@@ -77,11 +77,11 @@ class Evaluate(OfObjects, Spread):
 
     Attributes:
         policies: Each random, idle, teacher-straight, teacher-zigzag, teacher-spiral, look-ahead
-            (tries the teachers' pushes in the simulator), single or dual (the trained policies
-            that are shipped), a run directory, an actor's file (.safetensors), or
+            (tries the teachers' pushes in the simulator), uncover, retrieve or retrieve-dual (the
+            trained policies that are shipped), a run directory, an actor's file (.safetensors), or
             package.module:factory.
         heaps: Heap set (.parquet); by default the embedded heaps of household objects, single
-            ones but for the policy dual.
+            ones but for the policy retrieve-dual.
         out: Folder for the recorded episodes, one file for each policy.
         name: Under which a single policy is reported; by default that of its run, or its own text.
         split: "held-out", "train" or "all" heaps.

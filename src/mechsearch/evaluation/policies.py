@@ -39,7 +39,6 @@ TRAINED_LOADER = "mechsearch.training.run_directory:load_policy"
 RETRIEVAL = {
     "grasp-only": "mechsearch.retrieval.policies:GraspOnly",
     "uncover-then-grasp": "mechsearch.retrieval.policies:UncoverThenGrasp",
-    "uncover-then-grasp-dual": "mechsearch.retrieval.policies:uncover_then_grasp_dual",
     "clear-then-grasp": "mechsearch.retrieval.policies:ClearThenGrasp",
     "retrieve-oracle": "mechsearch.retrieval.policies:RetrieveOracle",
 }
@@ -54,9 +53,9 @@ SHAPES = (straight, zigzag, spiral)
 WITHOUT_SUCCESS = 100.0
 """What a trial that does not uncover the target is behind those that do."""
 
-SHIPPED_POLICIES = ("uncover", "single", "dual", "retrieve", "retrieve-dual")
+SHIPPED_POLICIES = ("uncover", "retrieve", "retrieve-dual")
 """Trained policies that are shipped: one that uncovers in any heap, and looks for a target of which
-nothing is seen; two that uncover as the paper's budget lets them; two that retrieve."""
+nothing is seen; two that retrieve."""
 
 UNCOVER, RETRIEVE = "uncover", "retrieve"
 """What a policy is after: its attribute `goal`, the first one where it has none."""

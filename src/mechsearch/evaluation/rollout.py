@@ -86,7 +86,7 @@ class EvaluationPlan:
     Attributes:
         policy: Text for `policy_named`, or a policy, which must pickle to get to a worker process.
         heaps: File of the heap set; None takes the embedded heaps of household objects, single
-            ones but for the policy "dual".
+            ones but for the policy "retrieve-dual".
         name: Under which the policy is reported; empty takes the name of the run that it comes
             from, or else `policy`.
         objects: Object set; empty takes the one that the heap set names.

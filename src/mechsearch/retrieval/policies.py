@@ -89,7 +89,7 @@ class UncoverThenGrasp(GraspOnly):
     keys: tuple[str, ...] = (*ACTOR_KEYS, *GRASP_KEYS, *BUDGET_KEYS, OCCLUSION_KEY)
 
     def __init__(
-        self, pusher: str = "single", uncovered_at: float = TaskConfig.uncovered_at
+        self, pusher: str = "uncover", uncovered_at: float = TaskConfig.uncovered_at
     ) -> None:
         """Take who pushes, as for `make_policy`, and from which occlusion on it need not."""
         super().__init__()
@@ -115,11 +115,6 @@ class UncoverThenGrasp(GraspOnly):
     def weighed(self) -> Weighed | None:
         """What the last decision was chosen among: pushes, or grasps."""
         return super().weighed or getattr(self._pusher, "weighed", None)
-
-
-def uncover_then_grasp_dual() -> UncoverThenGrasp:
-    """Return the baseline with the pushes that were learnt in dual heaps."""
-    return UncoverThenGrasp("dual")
 
 
 class ClearThenGrasp(GraspOnly):

@@ -44,7 +44,7 @@ def export_policy(spec: str, folder: Path, candidates: int | None = None) -> exp
     if not hasattr(inner, "to_export"):
         raise MechSearchError(
             f"the policy {spec} is a {type(inner).__name__}, which is not exported; expected one "
-            "that chooses pushes or actions by networks, such as single or a run of method"
+            "that chooses pushes or actions by networks, such as uncover or a run of method"
         )
     own = getattr(inner, "candidates", 0)
     if candidates is not None and not (own and candidates > 0):
