@@ -11,6 +11,7 @@ import pytest
 
 from mechsearch.benchmark.submission import load_submission
 from mechsearch.cli import main
+from mechsearch.env import TaskConfig
 from mechsearch.evaluation.episodes import save_episodes
 from mechsearch.evaluation.rollout import EvaluationPlan, evaluate_plan, weighed_again
 from mechsearch.heaps.dataset import object_set
@@ -154,18 +155,33 @@ def test_a_shipped_policy_is_asked_again_what_it_weighed(by_uncover):
         assert passed < 0.05
 
 
-def test_what_a_file_names_is_not_run_and_another_policy_has_weighed_nothing(by_uncover):
+def test_what_a_file_names_is_not_run_and_another_policy_has_weighed_nothing(by_uncover, tmp_path):
+    from mechsearch.push_values.algorithm import PushValues
+    from mechsearch.push_values.policy import PushPolicy, PushPolicyConfig
+    from mechsearch.push_values.value import Continuation, PushValue, PushValueConfig
+    from mechsearch.training.run_directory import save_policy, trained
+
+    # It chooses pushes too, and others.
+    other = PushPolicy([PushValue(PushValueConfig())], Continuation(), PushPolicyConfig(12))
+    save_policy(trained(other, PushValues(), 0, TaskConfig()), tmp_path / "other.safetensors")
     models, one = object_set("household").models, by_uncover.episodes[0]
     foreign = {**by_uncover.header, "policy": "os:abort"}
     assert weighed_again(foreign, one, models) == []
-    assert weighed_again(by_uncover.header, one, models, "idle") == []
+    assert weighed_again(by_uncover.header, one, models, str(tmp_path / "other.safetensors")) == []
     assert len(weighed_again(foreign, one, models, "uncover")) == len(one.actions)
 
 
 def test_show_writes_a_page_of_an_episode(by_uncover, tmp_path, capsys):
-    save_episodes(tmp_path / "single.npz", by_uncover)
+    save_episodes(tmp_path / "uncover.npz", by_uncover)
     main(
-        ["show", str(tmp_path / "single.npz"), "--out", str(tmp_path / "a.html"), "--which", "best"]
+        [
+            "show",
+            str(tmp_path / "uncover.npz"),
+            "--out",
+            str(tmp_path / "a.html"),
+            "--which",
+            "best",
+        ]
     )
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
     (episode,) = read(text)["episodes"]
