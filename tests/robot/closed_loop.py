@@ -41,7 +41,7 @@ from tests.robot.simulated_robot import (
     own_camera,
 )
 
-ROBOT = Limits(**LIMITS, speed=0.3, force=60, lost_looks=50)
+ROBOT = Limits(**LIMITS, speed=0.3, force=60)
 ACTIONS, UNCOVERED = 50, 0.02
 PATIENCE = 90.0
 BEHIND = 0.1

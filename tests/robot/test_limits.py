@@ -24,10 +24,12 @@ class Onwards:
     """A policy that always goes the same way."""
 
     camera = preset("overhead")
-    description = SimpleNamespace(low=[-0.3, -0.3, 0.01], high=[0.3, 0.3, 0.25])
 
-    def __init__(self, *way):
+    def __init__(self, *way, searches=False):
         self.way = np.array(way, np.float32)
+        self.description = SimpleNamespace(
+            low=[-0.3, -0.3, 0.01], high=[0.3, 0.3, 0.25], searches=searches
+        )
 
     def reset(self, rng): ...
 
@@ -128,6 +130,23 @@ def test_bad_images_stop_the_motion_and_send_the_tool_up(fault):
     robot.run(0.3, controller)
     assert robot.motions[-1].kind == MOVE
     check_limits(robot)
+
+
+@pytest.mark.parametrize(
+    ("searches", "lost_looks", "looks"), [(False, None, 5), (True, None, 50), (True, 3, 3)]
+)
+def test_a_policy_that_searches_may_look_for_an_episode(searches, lost_looks, looks):
+    limits = Limits(**LIMITS, lost_looks=lost_looks)
+    robot = SimulatedRobot(limits=limits)
+    policy = Onwards(0.0, 0.0, 0.0, searches=searches)
+    controller = Controller(policy, BASE_FROM_WORKSPACE, limits)
+    frame, tool = robot.frame(), robot.tool()
+    lost = replace(frame, mask=np.zeros_like(frame.mask))
+    for look in range(looks):
+        assert not controller.refusal
+        now = 10.0 * look
+        controller.step(replace(lost, time=now), replace(tool, time=now), now)
+    assert controller.refusal == f"no target is seen in {looks} images in a row"
 
 
 def test_a_blocked_tool_presses_no_harder_than_it_may_and_goes_up():

@@ -32,6 +32,10 @@ _REACHED = 0.004
 _TURNING = 5.0
 """Time that a tool may take to turn and to open for a grasp [s]."""
 
+_LOST_LOOKS = {False: 5, True: 50}
+"""Decisions in a row at which no target is seen, after which to stop, by whether a policy searches:
+one that does may take an episode's 50 actions for it (paper, section IV)."""
+
 _BLACK = 4
 """Mean of a colour image up to which it is black."""
 
@@ -123,6 +127,7 @@ class Controller:
                 "it along the base's z axis, up to 5 degrees"
             )
         self._base_from_workspace, self._workspace_from_base = pose, invert(pose)
+        self._lost_looks = limits.lost_looks or _LOST_LOOKS[policy.description.searches]
         self._low, self._high = (
             np.array(b) for b in (policy.description.low, policy.description.high)
         )
@@ -271,7 +276,7 @@ class Controller:
         self.seen = reproject(frame.depth, camera, self.view, self.mask, frame.colour)
         mask = np.asarray(self.seen.mask)
         self._lost = 0 if mask.any() else self._lost + 1
-        if self._lost >= self.limits.lost_looks:
+        if self._lost >= self._lost_looks:
             raise _RefusalError(f"no target is seen in {self._lost} images in a row", True)
         tip = apply(self._workspace_from_base, tool.position)
         return {

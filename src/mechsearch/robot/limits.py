@@ -46,7 +46,8 @@ class Limits:
         watchdog: Between two commands, and between two measurements of the tool [s].
         camera_shift: How far a camera may move from where it was at first [m].
         camera_turn: How far it may turn [degrees].
-        lost_looks: Decisions in a row at which no target is seen, after which to stop.
+        lost_looks: Decisions in a row at which no target is seen, after which to stop; None leaves
+            it to the policy: 5, or an episode's 50 of one that searches.
         retreat: How far up to go after a refusal [m].
         reach: How far the tip gets from the base's origin, as a robot's data sheet says [m]. The
             whole box must be within it.
@@ -64,7 +65,7 @@ class Limits:
     watchdog: float = 0.3
     camera_shift: float = 0.01
     camera_turn: float = 2.0
-    lost_looks: int = 5
+    lost_looks: int | None = None
     retreat: float = 0.1
     reach: float = inf
     joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -79,7 +80,8 @@ class Limits:
                 f"the box from {self.low} to {self.high} m is empty; expected low below high"
             )
         names = ("speed", "force", "lag", "image_age", "watchdog", "camera_shift", "camera_turn")
-        for name in (*names, "lost_looks", "retreat", "joint_margin"):
+        lost = () if self.lost_looks is None else ("lost_looks",)
+        for name in (*names, *lost, "retreat", "joint_margin"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise MechSearchError(f"{name} is {value}; expected a finite number above 0")
