@@ -19,7 +19,7 @@ from mechsearch.actor_critic.symmetry import SYMMETRIES, VECTORS, transform
 from mechsearch.algorithm import Algorithm, Line
 from mechsearch.files.tensors import fill, fill_optimizer, optimizer_tensors, part, prefixed
 from mechsearch.teachers import PAPER_TEACHERS
-from mechsearch.types import ACTION_LENGTH, ACTOR_KEYS, IMAGE_KEYS, select
+from mechsearch.types import ACTION_LENGTH, ACTOR_KEYS, IMAGE_KEYS, MechSearchError, select
 
 CROP = 32
 """Side of what the actor sees of its images [px]: half of theirs."""
@@ -51,11 +51,19 @@ class AsymmetricSac(Algorithm):
     taught: int = 800
     keys, teachers = ACTOR_KEYS, PAPER_TEACHERS
 
+    def check(self, task):
+        """Refuse a view that does not turn as the task does, or is of another size."""
+        if (task.camera, task.image_size) != ("overhead", 2 * CROP):
+            raise MechSearchError(
+                f"camera is {task.camera!r} and image_size {task.image_size}; the actor learns "
+                f"from the overhead camera's images of {2 * CROP} px"
+            )
+
     def begin(self, run, setup, folder):
         """Return a session at its beginning."""
         torch.manual_seed(run.seed)
         torch.set_num_threads(run.schedule.threads)
-        return Climbing(self, setup, run.seed, 2 * run.schedule.actions + 100)
+        return MoveSession(self, setup, run.seed, 2 * run.schedule.actions + 100)
 
     def save(self, policy):
         """Return an actor's weights, and how far it goes."""
@@ -246,7 +254,7 @@ class Critic(nn.Module):
         return torch.stack([head(features)[:, 0] for head in self.heads])
 
 
-class Climbing:
+class MoveSession:
     """What was done, row by row, and networks that learn from it after every nudge."""
 
     def __init__(self, options, setup, seed, rows):

@@ -109,6 +109,8 @@ def test_moves_are_learnt_go_on_where_they_stopped_and_score(tmp_path, monkeypat
     run = trained_twice("asymmetric_sac:AsymmetricSac", tmp_path, **how)
     who = {json.loads(line).get("who") for line in (run / "metrics.jsonl").open()}
     assert who >= {"teacher", "actor"} or who >= {"teacher", "privileged"}
+    with pytest.raises(MechSearchError, match="image_size 32"):
+        mechsearch.train("asymmetric_sac:AsymmetricSac", None, tmp_path / "x", image_size=32)
 
 
 def test_what_a_move_brought_is_what_its_nudges_brought(climbing):
