@@ -96,7 +96,7 @@ class Move:
 
 
 class MovePolicy:
-    """An actor's moves, drawn as it learnt to draw them: the best guess alone runs in circles."""
+    """An actor's moves, drawn as it learnt to draw them: the best guess alone stays put."""
 
     keys = ACTOR_KEYS
 
@@ -262,8 +262,8 @@ class MoveSession:
         space, self.reach = setup.env.config.workspace, options.nudges * ACTION_LENGTH
         self.bounds = [space.clip(np.full(3, end)) for end in (-np.inf, np.inf)]
         self.radii = {name: model.radius for name, model in setup.env.objects.models.items()}
-        nets = {"critic": Critic(self.reach, self.bounds), "privileged": Privileged()}
-        self.nets = {**nets, "actor": Actor()}
+        critic = Critic(self.reach, self.bounds)
+        self.nets = {"critic": critic, "privileged": Privileged(), "actor": Actor()}
         self.slow = {k: copy.deepcopy(v).requires_grad_(False) for k, v in self.nets.items()}
         rates = dict(zip(self.nets, (options.rates[0], *options.rates), strict=True))
         self.adam = {k: torch.optim.Adam(v.parameters(), rates[k]) for k, v in self.nets.items()}

@@ -52,10 +52,8 @@ def test_an_algorithm_of_80_lines_trains_resumes_is_evaluated_and_reported(tmp_p
     pytest.importorskip("torch")
     monkeypatch.syspath_prepend(FOLDER)
     assert len((FOLDER / "behaviour_cloning.py").read_text().splitlines()) <= 80
-    run, scores = (
-        trained_twice("behaviour_cloning:Cloning", tmp_path, passes=1),
-        tmp_path / "scores",
-    )
+    run = trained_twice("behaviour_cloning:Cloning", tmp_path, passes=1)
+    scores = tmp_path / "scores"
     main(["evaluate", str(run), "--limit", "2", "--workers", "1", "--out", str(scores)])
     evaluation = load_episodes(scores / f"Cloning-seed0-{load_policy(run).training_actions}.npz")
     assert evaluation.header["trained"]
