@@ -28,6 +28,7 @@ MEASUREMENTS = {
     "action": "action:measure",
     "share": "share:measure",
     "workers": "workers:measure",
+    "starts": "starts:measure",
     "vector": "vector:measure",
     "frames": "frames:measure",
     "generation": "generation:measure",
@@ -41,7 +42,7 @@ MEASUREMENTS = {
     "train-8000": "end_to_end:measure_training",
 }
 ORDER = (
-    "action-5", "action-10", "action-15", "workers", "vector", "frames", "heaps-per-second",
+    "action-5", "action-10", "action-15", "worker", "vector", "frames", "heaps-per-second",
     "heaps-4200", "updates", "train", "grasp", "robot", "physics", "frame-", "score",
     "overlap", "objects", "side",
 )  # fmt: skip

@@ -4,12 +4,15 @@ import itertools
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+import mechsearch
 from mechsearch.processes import map_in_order
 from mechsearch.types import MechSearchError
 
@@ -113,6 +116,37 @@ def test_errors_keep_the_order_of_the_inputs_too(workers):
     assert [next(results), next(results)] == [0, 1]
     with pytest.raises(MechSearchError, match="2 is bad input"):
         next(results)
+
+
+def setting(name):
+    return os.environ.get(name)
+
+
+def test_workers_have_the_environment_of_their_start(monkeypatch):
+    assert list(map_in_order(setting, ["MECHSEARCH_SETTING"] * 2, 2)) == [None, None]
+    monkeypatch.setenv("MECHSEARCH_SETTING", "later")
+    assert list(map_in_order(setting, ["MECHSEARCH_SETTING"] * 2, 2)) == ["later"] * 2
+    path = os.environ.get("PYTHONPATH")
+    assert list(map_in_order(setting, ["PYTHONPATH"], 2)) == [path]
+
+
+BESIDE = r"""
+import mechsearch
+from mechsearch.processes import map_in_order
+def copy(number):
+    return mechsearch.__file__
+if __name__ == "__main__":
+    print(*map_in_order(copy, range(2), 2), sep="\n")
+"""
+
+
+def test_a_script_beside_a_copy_of_the_package_has_that_in_its_workers_too(tmp_path):
+    package, script = tmp_path / "mechsearch", tmp_path / "script.py"
+    package.symlink_to(Path(mechsearch.__file__).parent)
+    script.write_text(BESIDE)
+    words = [sys.executable, script]
+    found = subprocess.run(words, capture_output=True, text=True, check=True, cwd="/")
+    assert found.stdout.split() == [str(package / "__init__.py")] * 2
 
 
 def test_one_worker_is_this_process_and_raising_has_the_same_rules(tmp_path):

@@ -2,4 +2,4 @@
 
 from mechsearch.processes.mapping import PROCESSORS, Input, Mapper, Result, map_in_order
 from mechsearch.processes.progress import Progress, bars, silent
-from mechsearch.processes.workers import Failure, Worker, replies
+from mechsearch.processes.workers import Failure, Worker, process_context, replies

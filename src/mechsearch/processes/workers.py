@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -103,18 +104,20 @@ class Worker:
     def __init__(
         self, make: Callable[[], Callable[[Any], Any]], failed_starts: Sequence[int] = ()
     ) -> None:
-        """Start the process (by spawning).
+        """Start the process, of this machine's `process_context`.
 
         Args:
             make: Called in the process; returns what answers the requests. Must pickle.
             failed_starts: Exit codes of the predecessors in a row that did not start.
         """
-        context = multiprocessing.get_context("spawn")
+        context = process_context()
         self._make, self._failed_starts = make, tuple(failed_starts)
         self._started = False
         self.awaited, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(make, theirs), daemon=True)
-        with _deaf():
+        self._process = context.Process(
+            target=_serve, args=(dict(os.environ), make, theirs), daemon=True
+        )
+        with _deaf(), _path_told():
             self._process.start()
         theirs.close()
         self.asked: deque[Asked] = deque()
@@ -212,6 +215,23 @@ def replies(
             yield worker.fail("worker hung")
 
 
+def process_context() -> Any:
+    """Return how processes are started here, which nothing that pickles for them may differ from.
+
+    On Linux they are forked from a server without threads, which imports what this process has
+    imported of the package by its first worker: workers start at once, and share one copy of
+    PyTorch. Elsewhere each is a new interpreter.
+    """
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    package = __name__.partition(".")[0]
+    context.set_forkserver_preload(
+        [name for name in sys.modules if name.partition(".")[0] == package]
+    )
+    return context
+
+
 @contextmanager
 def _deaf() -> Iterator[None]:
     """Have processes that are started inside never hear Ctrl-C, which is their parent's to answer.
@@ -228,8 +248,34 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(make: Callable[[], Callable[[Any], Any]], pipe: Connection) -> None:
-    """Answer requests until nobody asks any more."""
+@contextmanager
+def _path_told() -> Iterator[None]:
+    """Have a server that is started inside find modules where this process does.
+
+    Before 3.12.8 Python does not tell it (gh-126631), and it might import another copy.
+    """
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONPATH"]
+        if before is not None:
+            os.environ["PYTHONPATH"] = before
+
+
+def _serve(
+    environment: dict[str, str], make: Callable[[], Callable[[Any], Any]], pipe: Connection
+) -> None:
+    """Answer requests until nobody asks any more.
+
+    Args:
+        environment: That of whoever starts the process; a server's may be older.
+        make: Returns what answers.
+        pipe: Where requests come from.
+    """
+    os.environ.clear()
+    os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     answer = make()

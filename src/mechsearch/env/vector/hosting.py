@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -22,7 +21,7 @@ from gymnasium.vector.utils import (
 )
 
 from mechsearch.env.heap_env import HeapEnv
-from mechsearch.processes import Failure, Worker, replies
+from mechsearch.processes import Failure, Worker, process_context, replies
 from mechsearch.types import Array
 
 _ASKED = 2
@@ -157,8 +156,7 @@ class Hosts:
             workers: Processes.
             time_limit: Time that one action or reset may take [s].
         """
-        spawning: Any = get_context("spawn")
-        memory: Any = create_shared_memory(space, n=num_envs, ctx=spawning)
+        memory: Any = create_shared_memory(space, n=num_envs, ctx=process_context())
         observations: Any = read_from_shared_memory(space, memory, n=num_envs)
         self.observations: dict[str, Array] = observations
         make_host = partial(Host, CloudpickleWrapper(make), memory)
