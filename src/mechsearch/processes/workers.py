@@ -252,7 +252,7 @@ def _deaf() -> Iterator[None]:
 def _path_told() -> Iterator[None]:
     """Have a server that is started inside find modules where this process does.
 
-    Before 3.12.8 Python does not tell it (gh-126631), and it might import another copy.
+    Python before 3.12.8 and 3.13.1 does not tell it (gh-117378), and it might import another copy.
     """
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
