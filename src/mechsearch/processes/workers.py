@@ -216,7 +216,7 @@ def replies(
 
 
 def process_context() -> Any:
-    """Return how processes are started here, which nothing that pickles for them may differ from.
+    """Return how processes are started here; what is shared with them has to be made by it too.
 
     On Linux they are forked from a server without threads, which imports what this process has
     imported of the package by its first worker: workers start at once, and share one copy of
