@@ -16,6 +16,7 @@ from mechsearch.env.task import HeapEnvConfig
 from mechsearch.geometry import cap_length
 from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.observe.binning import binned
 from mechsearch.observe.observation import Observer, Scene, others, without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
@@ -29,6 +30,9 @@ from mechsearch.types import (
     real_array,
     shown,
 )
+
+_FINE = 256
+"""Side of the sensor's image that a policy's is made of [px], about."""
 
 _WORLDS_KEPT = 8
 
@@ -276,7 +280,8 @@ class HeapScene(Generic[W]):
         labels: Callable[[Frame], Array],
         colour: bool = False,
         level: bool = False,
-        found: Array | None = None,
+        find: bool = False,
+        bins: int = 1,
     ) -> tuple[Array, Array, Array | None]:
         """Return what is measured as it is seen in a view: reprojected, if the sensor is mounted.
 
@@ -289,13 +294,18 @@ class HeapScene(Generic[W]):
             labels: Returns true masks.
             colour: Whether colours are asked for.
             level: Whether an image with errors is held against the table, as `reproject` does.
-            found: Masks of a segmenter on the sensor's image, in place of the true ones.
+            find: Whether the mask is the one that the task's segmenter finds, if it has one.
+            bins: By how much the sensor's image is finer than the view; see `binned`.
         """
-        depth, masks, rgb = self.measure(camera, step, poses, effector, labels, colour)
-        mount, masks = self._config.mount, masks if found is None else found
+        mount, finer = self._config.mount, camera.resized(bins * camera.height)
+        find = find and self._finder is not None
+        depth, masks, rgb = self.measure(finer, step, poses, effector, labels, colour or find)
+        if find:
+            masks = self._found(step, finer, depth, rgb)
         if mount is not None:
-            view = reproject(depth, mount, camera, masks, rgb)
+            view = reproject(depth, mount, camera, masks, rgb, bins > 1)
             return view.depth, np.asarray(view.mask), view.colour
+        depth, camera, masks, rgb = binned(depth, finer, bins, masks, rgb)
         if level and not self._sensing.is_perfect:
             depth, masks = _levelled(depth, masks, camera)
         return depth, masks, rgb
@@ -305,10 +315,11 @@ class HeapScene(Generic[W]):
         heap, depth, mask, rgb = self.heap, None, None, None
         if self.observer.needs_images:
             camera = preset(self._config.camera, self._config.image_size)
+            bins = 1 if self._sensing.is_perfect else max(round(_FINE / camera.height), 1)
             depth, mask, rgb = self.sense(
                 camera, step, self.poses, self._effector_in_view(),
                 lambda frame: frame.modal(heap.target), self.observer.needs_colour, True,
-                self._found(step, camera.width),
+                True, bins,
             )  # fmt: skip
         return self.observer.observe(
             Scene(
@@ -330,26 +341,34 @@ class HeapScene(Generic[W]):
         assert judge is not None
         depth, mask, _ = self.sense(
             judge.camera, step, self.poses, self._effector_in_view(),
-            lambda frame: frame.modal(target), found=self._found(step, judge.camera.width),
+            lambda frame: frame.modal(target), find=True,
         )  # fmt: skip
         model = self._objects.models[self.heap.objects[target]]
         return judge.estimate(model, depth, mask).uncovered
 
-    def _found(self, step: int, size: int) -> Array | None:
-        """Return where a segmenter sees the target on the sensor's image, if there is one.
+    def _found(self, step: int, camera: Camera, depth: Array, rgb: Array | None) -> Array:
+        """Return where the segmenter sees the target on the sensor's image.
 
-        It looks at a finer image than a policy. What it finds is brought to that one's size [px],
-        unless the sensor is mounted: then it is reprojected with the image.
+        Unless that is of a mounted camera, it looks at one of its own size, and what it finds is
+        brought to the size of the other.
+
+        Args:
+            step: Number of actions.
+            camera: Of the sensor's image.
+            depth: That image.
+            rgb: Its colours.
         """
         heap, finder, mount = self.heap, self._finder, self._config.mount
-        if finder is None:
-            return None
-        depth, _, rgb = self.measure(
-            finder.camera, step, self.poses, self._effector_in_view(),
-            lambda frame: np.zeros(frame.depth.shape, np.bool_), True,
-        )  # fmt: skip
+        assert finder is not None
         target = self._objects.models[heap.objects[heap.target]]
-        return finder.visible(target, rgb, depth, mount or finder.camera, 0 if mount else size)
+        if mount is not None:
+            return finder.visible(target, rgb, depth, mount)
+        if camera != finder.camera:
+            depth, _, rgb = self.measure(
+                finder.camera, step, self.poses, self._effector_in_view(),
+                lambda frame: np.zeros(frame.depth.shape, np.bool_), True,
+            )  # fmt: skip
+        return finder.visible(target, rgb, depth, finder.camera, camera.height)
 
     def _effector_in_view(self) -> Floats | None:
         return self._effector_pose() if self._robot_in_view else None

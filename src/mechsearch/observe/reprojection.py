@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mechsearch.camera import Camera
+from mechsearch.camera import Camera, edge_step
+from mechsearch.observe.binning import binned, bins_of
 from mechsearch.observe.levelling import levelled
 from mechsearch.observe.observation import check_metres, measured_pixels
 from mechsearch.types import Array, Floats, MechSearchError
@@ -31,7 +32,12 @@ class Reprojection:
 
 
 def reproject(
-    depth: Any, camera: Camera, view: Camera, mask: Any = None, colour: Any = None
+    depth: Any,
+    camera: Camera,
+    view: Camera,
+    mask: Any = None,
+    colour: Any = None,
+    bins: bool = False,
 ) -> Reprojection:
     """Return the images of any calibrated camera in the view that a policy knows.
 
@@ -46,6 +52,8 @@ def reproject(
         view: Of the policy, such as `camera.preset(policy.camera, policy.image_size)`.
         mask: Pixels of the target (H, W) bool in the same image, or whole numbers of several masks.
         colour: (H, W, 3) uint8, likewise.
+        bins: Whether an image that is finer than the view, and has noise, is first made about as
+            coarse, see `binned`: then surfaces end where the larger pixels do.
 
     Raises:
         MechSearchError: If images and camera differ in size, the camera is below the table, which
@@ -76,7 +84,11 @@ def reproject(
     if not measured.any():
         raise MechSearchError("depth has no depth, 0 or not finite, in any of its pixels")
     check_metres(image[measured], "depth")
-    image, camera = levelled(np.where(measured, image, 0).astype(np.float32), camera)
+    image = np.where(measured, image, 0).astype(np.float32)
+    if bins:
+        count = bins_of(camera, view)
+        image, camera, mask, colour = binned(image, camera, count, mask, colour)
+    image, camera = levelled(image, camera)
     near, found = _into(image, camera, view)
     if not (found >= 0).any():
         raise MechSearchError(
@@ -243,15 +255,6 @@ def _at_the_table(view: Camera) -> Floats:
     down = np.maximum(-rays[..., 2], 0)
     beside = np.abs(eye[:2] * down[..., None] + eye[2] * rays[..., :2]).max(axis=-1)
     return np.where(beside <= _TABLE_HALF * down, down / (eye[2] + _TABLE_ERROR), 0)
-
-
-def edge_step(depth: Floats, camera: Camera) -> Floats:
-    """Return the least difference in depth between neighbours that is an edge (H, W) [m].
-
-    It is more than 5 mm, and than that of a surface of slope 2 against the image plane, about 63
-    degrees.
-    """
-    return 0.005 + 2.0 * depth / camera.fx
 
 
 def _shown(vector: Array) -> str:

@@ -32,8 +32,7 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from mechsearch.camera import Camera
-from mechsearch.observe.reprojection import edge_step
+from mechsearch.camera import Camera, edge_step
 from mechsearch.types import Array, Floats, MechSearchError
 
 _NOTHING = 1e3

@@ -273,7 +273,7 @@ class Controller:
         if frame.mask is None:
             assert self.segmenter is not None
             self.mask = self.segmenter.segment(np.asarray(frame.colour), frame.depth, camera)[0]
-        self.seen = reproject(frame.depth, camera, self.view, self.mask, frame.colour)
+        self.seen = reproject(frame.depth, camera, self.view, self.mask, frame.colour, bins=True)
         mask = np.asarray(self.seen.mask)
         self._lost = 0 if mask.any() else self._lost + 1
         if self._lost >= self._lost_looks:
