@@ -30,6 +30,7 @@ MEASUREMENTS = {
     "workers": "workers:measure",
     "starts": "starts:measure",
     "vector": "vector:measure",
+    "looks": "looks:measure",
     "frames": "frames:measure",
     "generation": "generation:measure",
     "updates": "updates:measure",
@@ -42,7 +43,7 @@ MEASUREMENTS = {
     "train-8000": "end_to_end:measure_training",
 }
 ORDER = (
-    "action-5", "action-10", "action-15", "worker", "vector", "frames", "heaps-per-second",
+    "action-5", "action-10", "action-15", "worker", "vector", "looks", "frames", "heaps-per-second",
     "heaps-4200", "updates", "train", "grasp", "robot", "physics", "frame-", "score",
     "overlap", "objects", "side",
 )  # fmt: skip

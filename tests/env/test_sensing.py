@@ -16,10 +16,19 @@ from mechsearch.env import (
     TaskConfig,
     task_from_json,
 )
-from mechsearch.evaluation.rollout import evaluate, other_inputs, replay_all
+from mechsearch.env.scene import HeapScene
+from mechsearch.evaluation.policies import policy_named
+from mechsearch.evaluation.rollout import (
+    evaluate,
+    other_inputs,
+    record_differences,
+    replay_all,
+    run_episode,
+)
 from mechsearch.heaps.dataset import embedded_file, open_heaps
 from mechsearch.observe.observation import MOST_HOLES
 from mechsearch.observe.sensor import SENSORS, Sensor
+from mechsearch.pushes.chooser import PushChooser
 from mechsearch.types import GRASP_KEYS, PRIVILEGED_KEYS, MechSearchError
 
 LATER = ("mounted", "sensor", "segmenter")
@@ -273,3 +282,48 @@ def test_an_episode_goes_on_where_most_of_an_image_is_holes_and_not_where_all_is
     assert 0 < depth.min() <= depth.max() < 0.99
     with pytest.raises(MechSearchError, match="no depth, 0 or not finite, in 100% of its pixels"):
         make(covered, boxes, "perfect farthest=0.5").reset(seed=0)
+
+
+def test_images_made_on_demand_are_the_same_ones_and_none_of_a_later_state(covered, boxes):
+    keys = ("depth", "position_image", "ee_position")
+    envs = [make(covered, boxes, "stereo", keys=keys) for _ in range(2)]
+    assert not HeapEnv.on_demand
+    envs[1].on_demand = True
+    for env in envs:
+        env.reset(options=FIXED)
+    for action in ACTIONS:
+        right, late = (env.step(action)[0] for env in envs)
+        assert set(late) == set(right)
+        assert len(late) == len(right)
+        # Not all of these images are read, which changes nothing of the others.
+        for key in right if action[2] <= 0 else keys[2:]:
+            np.testing.assert_array_equal(late[key], right[key])
+    assert set(late.only(keys[1:])) == set(keys[1:])
+    with pytest.raises(KeyError):
+        late.only(keys[1:])["depth"]
+    envs[1].reset(options=FIXED)
+    passed = envs[1].step(ACTIONS[0])[0]
+    envs[1].step(ACTIONS[1])
+    assert passed["ee_position"].shape == (3,)
+    with pytest.raises(MechSearchError, match="read before the next action"):
+        passed["depth"]
+
+
+def test_who_pushes_reads_images_only_where_a_push_is_chosen(monkeypatch):
+    """And does the same as on images of every step."""
+    heaps, objects = open_heaps(embedded_file("single"))
+    looks = []
+    sense = HeapScene.sense
+    monkeypatch.setattr(HeapScene, "sense", lambda *a, **k: looks.append(1) or sense(*a, **k))
+    records, counts = [], []
+    policy = policy_named("uncover")
+    env = HeapEnv(heaps.heaps, objects, HeapEnvConfig(sensor="stereo", keys=policy.keys))
+    for on_demand in (True, False):
+        monkeypatch.setattr(PushChooser, "on_demand", on_demand)
+        records.append(run_episode(policy, env, heaps.choose("held-out", 1)[0]))
+        counts.append(len(looks))
+        looks.clear()
+    assert not record_differences(*records)
+    assert not env.on_demand
+    assert counts[1] == len(records[0].actions) + 1
+    assert counts[0] < 0.5 * counts[1]

@@ -74,10 +74,27 @@ def test_a_policy_sees_noise_edges_and_holes_of_a_finer_image_less(heap):
         frame = renderer.frame(camera, heap.poses, colour=True)
         rng = np.random.default_rng(0)
         seen = [sensor.measure(frame.depth, camera, rng, frame.rgb) for _ in range(10)]
-        views = [reproject(depth, camera, VIEW, bins=True).depth for depth in seen]
+        views = [binned(depth, camera, bins_of(camera, VIEW), None)[0] for depth in seen]
         error = np.abs(np.stack([without_holes(view, most=1.0) for view in views]) - true)
         errors[camera] = error.mean(), (error > 0.01).mean(), np.mean(np.stack(views) == 0)
     fine, coarse = errors[FINE], errors[VIEW]
     assert fine[0] < 0.9 * coarse[0]
     assert fine[1] < 0.7 * coarse[1]
     assert fine[2] < 0.2 * coarse[2]
+
+
+def test_a_noisy_image_from_aside_is_binned_on_its_way_into_the_view(heap):
+    heap, renderer = heap
+    aside = Camera(
+        640, 480, 417, 417, 319.5, 239.5, look_at((0, -0.52, 0.74), (0, 0, 0), (0, 0, 1))
+    )
+    frame = renderer.frame(aside, heap.poses)
+    noisy = frame.depth + np.random.default_rng(0).normal(0, 0.004, frame.depth.shape)
+    true = reproject(frame.depth, aside, VIEW, frame.modal(heap.target))
+    plain, better = (
+        reproject(noisy, aside, VIEW, frame.modal(heap.target), bins=bins) for bins in (False, True)
+    )
+    off = [np.median(np.abs(found.depth - true.depth)) for found in (plain, better)]
+    assert off[1] < 0.6 * off[0]
+    # Noise moves what is seen from aside to other pixels, too.
+    assert (better.mask ^ true.mask).sum() < (plain.mask ^ true.mask).sum()

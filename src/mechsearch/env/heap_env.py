@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -34,7 +34,14 @@ class HeapEnv(SceneEnv[HeapWorld]):
     displacement of the non-target objects in this action [m]) and `target_moved` [m]. Where an arm
     pushes, there are also `refused`, the reason for which it did not move or None, and `motion`, a
     `sim.ArmMotion`. "stopped" is the end where the task's `stop` looks at images.
+
+    Attributes:
+        on_demand: Whether `step` returns images that are made only when they are read, which has to
+            be before the next action: a mapping, and no dict. Whoever acts by whole pushes reads
+            one image in eight.
     """
+
+    on_demand = False
 
     def __init__(
         self,
@@ -172,8 +179,9 @@ class HeapEnv(SceneEnv[HeapWorld]):
         if scene.world.motion is not None:
             info |= {"refused": scene.world.motion.refusal, "motion": scene.world.motion}
         truncated = self._over and not terminated
+        observe = scene.observe_on_demand if self.on_demand else scene.observe
         return (
-            scene.observe(self._actions),
+            cast(dict[str, Array], observe(self._actions)),
             float(sum(reward.values())),
             terminated,
             truncated,

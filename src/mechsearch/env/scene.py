@@ -1,7 +1,7 @@
 """The heap that an environment shows: physics, true poses, occlusion, images, observations."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from os import PathLike
@@ -17,15 +17,17 @@ from mechsearch.geometry import cap_length
 from mechsearch.heaps.dataset import Heap, embedded_file, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
 from mechsearch.observe.binning import binned
-from mechsearch.observe.observation import Observer, Scene, others, without_holes
+from mechsearch.observe.observation import Observer, OnDemand, Scene, others, without_holes
 from mechsearch.observe.reprojection import reproject
 from mechsearch.render.renderer import Frame, Renderer
 from mechsearch.sim import HeapWorld
 from mechsearch.types import (
     ACTION_LENGTH,
+    IMAGE_KEYS,
     Array,
     Floats,
     MechSearchError,
+    Observation,
     finite_numbers,
     real_array,
     shown,
@@ -310,10 +312,10 @@ class HeapScene(Generic[W]):
             depth, masks = _levelled(depth, masks, camera)
         return depth, masks, rgb
 
-    def observe(self, step: int) -> dict[str, Array]:
-        """Return a fresh observation, after so many of the episode's actions."""
+    def observe(self, step: int, keys: Iterable[str] | None = None) -> dict[str, Array]:
+        """Return a fresh observation, or some keys of it, after so many actions of the episode."""
         heap, depth, mask, rgb = self.heap, None, None, None
-        if self.observer.needs_images:
+        if IMAGE_KEYS & set(self.observer.keys if keys is None else keys):
             camera = preset(self._config.camera, self._config.image_size)
             bins = 1 if self._sensing.is_perfect else max(round(_FINE / camera.height), 1)
             depth, mask, rgb = self.sense(
@@ -332,8 +334,23 @@ class HeapScene(Generic[W]):
                 present=self.present,
                 target=heap.target,
                 label=self._labels[heap.objects[heap.target]],
-            )
+            ),
+            keys,
         )
+
+    def observe_on_demand(self, step: int) -> Observation:
+        """Return the same, but images are made when they are read, before the next action."""
+        images = [key for key in self.observer.keys if key in IMAGE_KEYS]
+        rest = [key for key in self.observer.keys if key not in IMAGE_KEYS]
+        # Every action, snapshot and start says anew what has moved.
+        now = self.moved
+
+        def make() -> Observation:
+            if self.moved is not now:
+                raise MechSearchError("images made on demand are read before the next action")
+            return self.observe(step, images)
+
+        return OnDemand(self.observe(step, rest), images, make)
 
     def chance_uncovered(self, step: int) -> float:
         """Return with what chance an image shows the target uncovered, after so many actions."""

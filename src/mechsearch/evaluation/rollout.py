@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -46,6 +47,7 @@ from mechsearch.evaluation.policies import (
 from mechsearch.files import differing_fields, fingerprint
 from mechsearch.heaps.dataset import Heap, HeapSet, embedded_file, evenly_spread, open_heaps
 from mechsearch.objects.model import ObjectModel, ObjectSet
+from mechsearch.observe.observation import OnDemand
 from mechsearch.processes import Failure, Mapper, Progress, map_in_order, silent
 from mechsearch.sim import engine_version
 from mechsearch.types import (
@@ -167,9 +169,25 @@ def run_episode(
     """Return one episode from the heap's own start; see `run`."""
     episode = RunningEpisode(env, index, name)
     begin(policy, env, seed, name)
-    while not episode.end:
-        episode.step(_ask(name, policy.act, select(episode.obs, policy.keys)))
+    with _images_on_demand(policy, env):
+        while not episode.end:
+            obs = episode.obs
+            seen = obs.only(policy.keys) if isinstance(obs, OnDemand) else select(obs, policy.keys)
+            episode.step(_ask(name, policy.act, seen))
     return episode.record
+
+
+@contextmanager
+def _images_on_demand(policy: Policy, env: AnyEnv) -> Iterator[None]:
+    """Make images for a policy that says so, by `on_demand`, only when it reads them."""
+    if not (getattr(policy, "on_demand", False) and isinstance(env, HeapEnv)):
+        yield
+        return
+    before, env.on_demand = env.on_demand, True
+    try:
+        yield
+    finally:
+        env.on_demand = before
 
 
 def begin(policy: Policy, env: AnyEnv, seed: int, name: str) -> None:

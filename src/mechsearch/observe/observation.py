@@ -1,6 +1,6 @@
 """Assembles one observation, with just the keys that were asked for, and reads a robot's own."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,10 +12,10 @@ from scipy.ndimage import distance_transform_edt
 
 from mechsearch.camera import Camera
 from mechsearch.types import (
-    IMAGE_KEYS,
     Array,
     Floats,
     MechSearchError,
+    Observation,
     real_array,
     select,
 )
@@ -138,7 +138,6 @@ class Observer:
             )
         self.keys = tuple(keys)
         self.camera = camera
-        self.needs_images = bool(IMAGE_KEYS & set(keys))
         self.needs_colour = "rgb" in keys
         self._max_clutter = max_clutter
         self._labels = labels
@@ -148,9 +147,10 @@ class Observer:
             spaces["clutter_mask"] = gymnasium.spaces.MultiBinary(max_clutter)
         self.space = gymnasium.spaces.Dict(spaces)
 
-    def observe(self, scene: Scene) -> dict[str, Array]:
-        """Return a fresh observation (see `types` for its keys)."""
-        return {key: getattr(self, f"_{key}")(scene) for key in self.keys}
+    def observe(self, scene: Scene, keys: Iterable[str] | None = None) -> dict[str, Array]:
+        """Return a fresh observation (see `types` for its keys), or some keys of one."""
+        asked = self.keys if keys is None else keys
+        return {key: getattr(self, f"_{key}")(scene) for key in asked}
 
     def _depth(self, scene: Scene) -> Array:
         return np.asarray(without_holes(scene.depth, most=1.0), np.float16)[None]
@@ -185,6 +185,32 @@ class Observer:
         rest = others(scene.target, len(scene.positions))
         mask[: len(rest)] = scene.present[rest]
         return mask
+
+
+class OnDemand(Mapping[str, Array]):
+    """An observation whose images are made when one is first read."""
+
+    def __init__(
+        self, made: Mapping[str, Array], images: Sequence[str], make: Callable[[], Observation]
+    ) -> None:
+        """Take what is known already, the keys of images, and what makes these."""
+        self._made, self._images, self._make = dict(made), tuple(images), make
+
+    def __getitem__(self, key: str) -> Array:
+        if key in self._images and key not in self._made:
+            self._made.update(self._make())
+        return self._made[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self._made, *self._images)))
+
+    def __len__(self) -> int:
+        return len({*self._made, *self._images})
+
+    def only(self, keys: Sequence[str]) -> "OnDemand":
+        """Return the part of it that one policy may read."""
+        made = {key: value for key, value in self._made.items() if key in keys}
+        return OnDemand(made, [key for key in self._images if key in keys], self._make)
 
 
 @lru_cache(maxsize=1024)

@@ -52,8 +52,9 @@ def reproject(
         view: Of the policy, such as `camera.preset(policy.camera, policy.image_size)`.
         mask: Pixels of the target (H, W) bool in the same image, or whole numbers of several masks.
         colour: (H, W, 3) uint8, likewise.
-        bins: Whether an image that is finer than the view, and has noise, is first made about as
-            coarse, see `binned`: then surfaces end where the larger pixels do.
+        bins: Whether an image that has noise and is much finer than the view is first made coarser,
+            see `binned`; surfaces then end where the larger pixels do, of which at least two go to
+            one of the view, so that borders stay where they are.
 
     Raises:
         MechSearchError: If images and camera differ in size, the camera is below the table, which
@@ -86,7 +87,7 @@ def reproject(
     check_metres(image[measured], "depth")
     image = np.where(measured, image, 0).astype(np.float32)
     if bins:
-        count = bins_of(camera, view)
+        count = max(bins_of(camera, view) // 2, 1)
         image, camera, mask, colour = binned(image, camera, count, mask, colour)
     image, camera = levelled(image, camera)
     near, found = _into(image, camera, view)

@@ -113,6 +113,7 @@ class Episodes:
     def _open(self, env: HeapEnv) -> None:
         torch.set_num_threads(self._threads)
         self.env, self._twin = env, imageless(env)
+        self.env.on_demand = True
         self._also = [through(env, sensor) for sensor in self._config.also]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -27,6 +27,8 @@ class PushChooser(ABC):
     """
 
     keys: tuple[str, ...] = ACTOR_KEYS
+    on_demand = True
+    """Images are read where a push is chosen, and not while it is carried out."""
 
     def __init__(
         self, camera: Camera, candidates: int, searches: bool = False, full_steps: bool = False

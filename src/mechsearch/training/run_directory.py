@@ -53,6 +53,11 @@ class TrainedPolicy:
         """What it is after; see `evaluation.policies.goal_of`."""
         return goal_of(self.policy)
 
+    @property
+    def on_demand(self) -> bool:
+        """Whether it reads images only where it needs them, before it acts."""
+        return getattr(self.policy, "on_demand", False)
+
     def equip(self, grippers: tuple[str, ...]) -> None:
         """Take the names of the robot's grippers, if it retrieves."""
         if isinstance(self.policy, Equipped):
