@@ -149,7 +149,8 @@ class Policy(Protocol):
         """Return an action for one observation.
 
         It is a displacement (3,) in [-1, 1], in workspace axes, or, of a policy whose attribute
-        `goal` is "retrieve", the vector (9,) of a decision.
+        `goal` is "retrieve", the vector (9,) of a decision. To one whose attribute `on_demand` is
+        true an evaluation hands a mapping whose images are made when they are read, in `act`.
         """
 
 

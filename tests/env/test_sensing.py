@@ -299,8 +299,11 @@ def test_images_made_on_demand_are_the_same_ones_and_none_of_a_later_state(cover
         for key in right if action[2] <= 0 else keys[2:]:
             np.testing.assert_array_equal(late[key], right[key])
     assert set(late.only(keys[1:])) == set(keys[1:])
+    part = late.only(keys[1:])
+    np.testing.assert_array_equal(part["position_image"], right["position_image"])
+    assert dict(part).keys() == set(keys[1:])
     with pytest.raises(KeyError):
-        late.only(keys[1:])["depth"]
+        part["depth"]
     envs[1].reset(options=FIXED)
     passed = envs[1].step(ACTIONS[0])[0]
     envs[1].step(ACTIONS[1])

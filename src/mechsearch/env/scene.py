@@ -320,8 +320,8 @@ class HeapScene(Generic[W]):
             bins = 1 if self._sensing.is_perfect else max(round(_FINE / camera.height), 1)
             depth, mask, rgb = self.sense(
                 camera, step, self.poses, self._effector_in_view(),
-                lambda frame: frame.modal(heap.target), self.observer.needs_colour, True,
-                True, bins,
+                lambda frame: frame.modal(heap.target), self.observer.needs_colour,
+                level=True, find=True, bins=bins,
             )  # fmt: skip
         return self.observer.observe(
             Scene(

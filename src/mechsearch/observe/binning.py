@@ -59,11 +59,11 @@ def binned(
         return cut.reshape(rows, columns, bins**2, *image.shape[2:])
 
     if mask is not None:
-        numbers, own = np.unique(mask)[::-1], parts(mask)
+        numbers, own = np.unique(mask)[::-1], parts(np.asarray(mask))
         counts = np.stack([(own == number).sum(axis=-1) for number in numbers])
         mask = numbers[counts.argmax(axis=0)]
     if colour is not None:
-        colour = np.rint(parts(colour).mean(axis=2)).astype(np.uint8)
+        colour = np.rint(parts(np.asarray(colour)).mean(axis=2)).astype(np.uint8)
     return _medians(parts(depth), camera), larger, mask, colour
 
 

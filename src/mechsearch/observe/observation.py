@@ -198,7 +198,8 @@ class OnDemand(Mapping[str, Array]):
 
     def __getitem__(self, key: str) -> Array:
         if key in self._images and key not in self._made:
-            self._made.update(self._make())
+            images = self._make()
+            self._made |= {image: images[image] for image in self._images}
         return self._made[key]
 
     def __iter__(self) -> Iterator[str]:
