@@ -247,8 +247,8 @@ def test_a_mixture_is_each_of_its_sensors_equally_often_and_adds_nothing(step):
         ) else (step, step < 1)  # fmt: skip
         return depth.tobytes() + mask.tobytes()
 
-    each = {name: [taken(sensor, n) for n in range(200)] for name, sensor in ONE_BY_ONE.items()}
-    mixed = [taken(SENSORS["mixed"], n) for n in range(200)]
+    each = {name: [taken(sensor, n) for n in range(100)] for name, sensor in ONE_BY_ONE.items()}
+    mixed = [taken(SENSORS["mixed"], n) for n in range(100)]
     share = {
         name: np.mean([a == b for a, b in zip(mixed, own, strict=True)])
         for name, own in each.items()
