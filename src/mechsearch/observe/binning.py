@@ -1,5 +1,6 @@
 """Makes one pixel of several, so that an image is no finer than a policy reads it."""
 
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -9,19 +10,19 @@ from mechsearch.types import Array
 
 Given = TypeVar("Given", Array, Array | None)
 
-_SHORTEST = 1e-3
-"""Least distance from which a pixel's size on the table is told [m]."""
-
 
 def bins_of(camera: Camera, view: Camera) -> int:
-    """Return how many pixels of a camera fit along a side of one of a view, on the table; or 1."""
+    """Return how many pixels of a camera fit along a side of one of a view, on the table; or 1.
+
+    Both are above the table, and look down at it.
+    """
     return max(int(_density(camera) / _density(view) + 1e-6), 1)
 
 
 def _density(camera: Camera) -> float:
     """Return how many pixels there are to a metre where a camera's optical axis meets the table."""
-    pose = camera.pose
-    return camera.fx / float(max(pose[2, 3] / max(-pose[2, 2], _SHORTEST), _SHORTEST))
+    _, _, down, height = camera.pose[2].tolist()
+    return float(camera.fx * -down / height)
 
 
 def binned(
@@ -47,10 +48,7 @@ def binned(
     if bins == 1:
         return depth, camera, mask, colour
     rows, columns = (side // bins for side in depth.shape)
-    larger = Camera(
-        columns, rows, camera.fx / bins, camera.fy / bins,
-        (camera.cx + 0.5) / bins - 0.5, (camera.cy + 0.5) / bins - 0.5, camera.world_from_camera,
-    )  # fmt: skip
+    whole = replace(camera, width=columns * bins, height=rows * bins)
 
     def parts(image: Array) -> Array:
         """Return the pixels of each larger one (rows, columns, bins^2, ...)."""
@@ -64,7 +62,7 @@ def binned(
         mask = numbers[counts.argmax(axis=0)]
     if colour is not None:
         colour = np.rint(parts(np.asarray(colour)).mean(axis=2)).astype(np.uint8)
-    return _medians(parts(depth), camera), larger, mask, colour
+    return _medians(parts(depth), camera), whole.resized(rows, columns), mask, colour
 
 
 def _medians(depths: Array, camera: Camera) -> Array:
